@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from models.arrays import constant
 from models.effects.effect import EACH, Effect, Values, amplitude
@@ -12,11 +12,14 @@ from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 
+def _with_effector(machine: Machine, **changes: Any) -> Machine:
+    return with_parts(machine, effector=replace(delta_vibration(machine).effector, **changes))
+
+
 def _heavier_holder(machine: Machine, values: Values) -> Machine:
     """Add the mass to the nozzle holder."""
-    effector = delta_vibration(machine).effector
-    heavier = replace(effector, nozzle_mass_kg=effector.nozzle_mass_kg + float(values["added_kg"]))
-    return with_parts(machine, effector=heavier)
+    nozzle_kg = delta_vibration(machine).effector.nozzle_mass_kg + float(values["added_kg"])
+    return _with_effector(machine, nozzle_mass_kg=nozzle_kg)
 
 
 EFFECTOR_MASS = Effect(
@@ -41,9 +44,8 @@ EFFECTOR_MASS = Effect(
 
 def _off_centre(machine: Machine, values: Values) -> Machine:
     """Move the effector's centre of mass."""
-    effector = delta_vibration(machine).effector
-    moved = constant(effector.center_of_mass_mm + values["offset_mm"])
-    return with_parts(machine, effector=replace(effector, center_of_mass_mm=moved))
+    centre = delta_vibration(machine).effector.center_of_mass_mm + values["offset_mm"]
+    return _with_effector(machine, center_of_mass_mm=constant(centre))
 
 
 CENTER_OF_MASS = Effect(
@@ -68,16 +70,11 @@ CENTER_OF_MASS = Effect(
 def _other_mount(machine: Machine, values: Values) -> Machine:
     """Scale the mount's stiffness and damping."""
     effector = delta_vibration(machine).effector
-    mount = replace(
-        effector,
-        extruder_stiffness_n_per_m=constant(
-            effector.extruder_stiffness_n_per_m * (1 + values["relative_stiffness_change"])
-        ),
-        extruder_damping_n_s_per_m=constant(
-            effector.extruder_damping_n_s_per_m * (1 + values["relative_damping_change"])
-        ),
+    stiffness = effector.extruder_stiffness_n_per_m * (1 + values["relative_stiffness_change"])
+    damping = effector.extruder_damping_n_s_per_m * (1 + values["relative_damping_change"])
+    return _with_effector(
+        machine, extruder_stiffness_n_per_m=constant(stiffness), extruder_damping_n_s_per_m=constant(damping)
     )
-    return with_parts(machine, effector=mount)
 
 
 EXTRUDER_MOUNT = Effect(
@@ -161,8 +158,7 @@ OTHER: Mapping[str, Literal["virtual_work", "paper"]] = {"virtual_work": "paper"
 
 def _other_map(machine: Machine, values: Values) -> Machine:
     """Replace the machine's force map by the other one."""
-    effector = delta_vibration(machine).effector
-    return with_parts(machine, effector=replace(effector, force_map=OTHER[effector.force_map]))
+    return _with_effector(machine, force_map=OTHER[delta_vibration(machine).effector.force_map])
 
 
 FORCE_MAP = Effect(

@@ -235,11 +235,6 @@ BRISTLE_FRICTION = Effect(
 )
 
 
-def _joint_terms(values: Values, printer: Terms) -> Terms:
-    creep, hold = float(values["creep_mm_per_s"]) / 1e3, float(values["hold_per_s"])
-    return {"joint_dry": float(values["force_n"]), "joint_creep": creep, "joint_hold": hold}
-
-
 JOINT_FRICTION = Effect(
     name="joint_friction",
     title="Dry friction in the arms' ball joints",
@@ -254,7 +249,11 @@ JOINT_FRICTION = Effect(
     in_data="Jumps of the nozzle's acceleration at reversals of the path, shared by all three towers.",
     confounded_with={"coulomb_friction": "One tower at a time: guide friction stays on the tower that reverses."},
     of=("carriages",),
-    terms=_joint_terms,
+    terms=lambda values, _: {
+        "joint_dry": float(values["force_n"]),
+        "joint_creep": float(values["creep_mm_per_s"]) / 1e3,
+        "joint_hold": float(values["hold_per_s"]),
+    },
     remedy="Clean and oil the arms' joints; use weaker springs.",
 )
 

@@ -6,7 +6,7 @@ The ranges admit any printer and catch most numbers in a wrong unit. pydantic fi
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -91,38 +91,26 @@ PAIRS = ("limits.carriage_travel_mm", *(f"kinematics.{axis}_range_mm" for axis i
 
 def sentences(error: Mapping[str, Any], kind: type[Table]) -> list[str]:
     """Return one of pydantic's errors in our words; a validator of ours may report several mistakes."""
-    context = {**error.get("ctx", {}), "document": kind}
     if error["type"] == "value_error":
-        return str(context["error"]).split("\n")
-    write = SENTENCES.get(error["type"], _broken_rule)
-    return [write(error["loc"], error["input"], error["type"], context)]
+        return str(error["ctx"]["error"]).split("\n")
+    return [_sentence(error["type"], error["loc"], error["input"], error.get("ctx", {}), kind)]
 
 
-def _missing(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
-    return f"{_key(loc)} is missing."
-
-
-def _unknown_key(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
-    return f"{_key(loc)} is not a key of a machine file.{_right_key(loc, context['document'])}"
-
-
-def _wrong_word(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
-    expected = context["expected"]
-    return f"{_key(loc)} = {value!r} must be {expected}.{did_you_mean(str(value), expected.split(chr(39)))}"
-
-
-def _broken_rule(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
-    unit = unit_of(_key(loc).split("[")[0])
-    count = "two" if _key(loc) in PAIRS else "one to eight" if _key(loc).startswith("axes.") else "three"
-    rule = RULES[kind].format(**context, count=count, unit=f" ({unit})" if unit else "")
-    return f"{_key(loc)} = {'{…}' if isinstance(value, dict) else repr(value)} {rule}."
-
-
-SENTENCES: dict[str, Callable[..., str]] = {
-    "missing": _missing,
-    "extra_forbidden": _unknown_key,
-    "literal_error": _wrong_word,
-}
+def _sentence(
+    rule: str, loc: tuple[int | str, ...], value: object, context: Mapping[str, Any], document: type[Table]
+) -> str:
+    key = _key(loc)
+    if rule == "missing":
+        return f"{key} is missing."
+    if rule == "extra_forbidden":
+        return f"{key} is not a key of a machine file.{_right_key(loc, document)}"
+    if rule == "literal_error":
+        expected = context["expected"]
+        return f"{key} = {value!r} must be {expected}.{did_you_mean(str(value), expected.split(chr(39)))}"
+    unit = unit_of(key.split("[")[0])
+    count = "two" if key in PAIRS else "one to eight" if key.startswith("axes.") else "three"
+    text = RULES[rule].format(**context, count=count, unit=f" ({unit})" if unit else "")
+    return f"{key} = {'{…}' if isinstance(value, dict) else repr(value)} {text}."
 
 
 def _key(loc: tuple[int | str, ...]) -> str:

@@ -60,7 +60,8 @@ class Axis:
         shares = [*self.share[: len(self.frequency_hz) - 1]]
         shares.append(1.0 - sum(shares))
         modes = zip(self.frequency_hz, self.damping_ratio, shares, strict=True)
-        return tuple(_oscillator(2 * np.pi * f, zeta, share) for f, zeta, share in modes)
+        each = ((2 * np.pi * f, zeta, share) for f, zeta, share in modes)
+        return tuple(Oscillator(omega**2, 2 * zeta * omega, share=share) for omega, zeta, share in each)
 
 
 @dataclass(frozen=True)
@@ -108,10 +109,6 @@ class Oscillator:
     def with_belt_damping(self, moved: float) -> Oscillator:
         """Return the mode with so much of its damping, 1/s, in its belts instead of its guides."""
         return replace(self, damping=self.damping - moved, belt_damping=self.belt_damping + moved)
-
-
-def _oscillator(omega: float, zeta: float, share: float) -> Oscillator:
-    return Oscillator(omega**2, 2 * zeta * omega, share=share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ the bed; inside an interval the discrete model is exact for a command that is li
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,32 +42,30 @@ class PlantTable:
 
     def frozen(self) -> PlantTable:
         """Return the table with the plant of the middle of the bed everywhere; the kinematics are unchanged."""
-        middle = len(self.jacobian) // 2
-        values = {each.name: getattr(self.plant, each.name) for each in fields(self.plant)}
+        middle, p = len(self.jacobian) // 2, self.plant
+        of_place = ("a", "b0", "b1", "b_centripetal")
         same: dict[str, Any] = {
-            name: np.repeat(value[middle : middle + 1], len(value), axis=0)
-            for name, value in values.items()
-            if np.ndim(value) == 3
+            name: np.repeat(getattr(p, name)[middle : middle + 1], len(p.a), axis=0) for name in of_place
         }
-        return replace(self, plant=replace(self.plant, **same))
+        return replace(self, plant=replace(p, **same))
 
     def arrays(self) -> dict[str, FloatArray | IntArray]:
         """Return all arrays, for a cache."""
         p = self.plant
         grid = np.array([self.x0_mm, self.pitch_mm, self.nodes, p.step_s, p.drive_states])
-        plant = (p.a, p.b0, p.b1, p.b_centripetal, p.carriage, p.oscillators)
-        return dict(zip(TABLE_ARRAYS, (grid, *plant, self.jacobian), strict=True))
+        return {"grid": grid, "jacobian": self.jacobian, **{name: getattr(p, name) for name in PLANT_ARRAYS}}
 
     @classmethod
     def of_arrays(cls, kept: Mapping[str, NDArray[Any]]) -> PlantTable:
         """Return a table from its arrays."""
-        grid, a, b0, b1, b_centripetal, carriage, oscillators, jacobian = (kept[name] for name in TABLE_ARRAYS)
-        x0, pitch, nodes, step_s, drive_states = grid.tolist()
-        plant = DiscretePlant(step_s, a, b0, b1, b_centripetal, carriage, int(drive_states), oscillators)
-        return cls(x0, pitch, int(nodes), plant, jacobian)
+        x0, pitch, nodes, step_s, drive_states = kept["grid"].tolist()
+        arrays: dict[str, Any] = {name: kept[name] for name in PLANT_ARRAYS}
+        plant = DiscretePlant(step_s, drive_states=int(drive_states), **arrays)
+        return cls(x0, pitch, int(nodes), plant, kept["jacobian"])
 
 
-TABLE_ARRAYS = ("grid", "a", "b0", "b1", "b_centripetal", "carriage", "oscillators", "jacobian")
+PLANT_ARRAYS = ("a", "b0", "b1", "b_centripetal", "carriage", "oscillators")
+TABLE_ARRAYS = ("grid", "jacobian", *PLANT_ARRAYS)
 
 
 def table_positions(kinematics: Kinematics, pitch_mm: float = PITCH_MM) -> tuple[FloatArray, FloatArray]:
