@@ -44,19 +44,10 @@ def named_machines() -> list[NamedMachine]:
 
 @lru_cache(maxsize=512)
 def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
-    """Read a file once after each change: the page of `ffcomp serve` polls every second."""
-    return glance(path)
+    """Return `kinematics.type` and `name` of a machine file, unchecked; None if missing.
 
-
-def _changed(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:  # removed in the meantime
-        return 0
-
-
-def glance(path: Path) -> tuple[str | None, str | None]:
-    """Return `kinematics.type` and `name` of a machine file, unchecked; None if missing."""
+    A file is read once after each change: the page of `ffcomp serve` polls every second.
+    """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
@@ -64,6 +55,13 @@ def glance(path: Path) -> tuple[str | None, str | None]:
     kinematics = document.get("kinematics")
     kind = kinematics.get("type") if isinstance(kinematics, dict) else None
     return _text(kind), _text(document.get("name"))
+
+
+def _changed(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:  # removed in the meantime
+        return 0
 
 
 def _text(value: object) -> str | None:

@@ -108,12 +108,6 @@ def effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
         yield f"effects.{name}: {', '.join(counts)} must have as many numbers each, one for each line."
 
 
-def effect_keys() -> Iterator[str]:
-    """Every parameter of every effect, as a machine file's `[uncertainty]` names it."""
-    for name, effect in CATALOGUE.items():
-        yield from (f"effects.{name}.{parameter}" for parameter in effect.by_name)
-
-
 DEFAULT_UNCERTAINTY = 0.02
 NO_PRINTER = (
     'This machine is one axis by itself (kinematics.type = "axis") and has no nozzle, so there is no G-code to plan, '
@@ -132,24 +126,20 @@ class Document(Table):
     @classmethod
     def _known_effects(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         refuse(problem for name, table in effects.items() for problem in effect_problems(name, table))
+        refuse_others(effects, cls.moves, NO_EFFECT_OF[cls.moves])
         return effects
 
     @field_validator("uncertainty", check_fields=False)
     @classmethod
     def _known_numbers(cls, uncertainty: dict[str, float]) -> dict[str, float]:
-        known = ["default", *number_keys(cls), *effect_keys()]
+        of_effects = (f"effects.{name}.{key}" for name, effect in CATALOGUE.items() for key in effect.by_name)
+        known = ["default", *number_keys(cls), *of_effects]
         refuse(
             f'uncertainty."{key}" is not a number of this file.{did_you_mean(key, known)}'
             for key in uncertainty
             if key not in known
         )
         return uncertainty
-
-    @field_validator("effects", check_fields=False)
-    @classmethod
-    def _of_this_kind(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        refuse_others(effects, cls.moves, NO_EFFECT_OF[cls.moves])
-        return effects
 
     @property
     def quantities(self) -> Quantities:

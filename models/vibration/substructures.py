@@ -83,11 +83,6 @@ def command_frf(carriage: Carriage, s: ComplexArray) -> ComplexArray:
     return belt(carriage, s) / impedance(carriage, s) * drive_frf(carriage.drive, s)
 
 
-def force_frf(carriage: Carriage, s: ComplexArray) -> ComplexArray:
-    """Return G_Fq (Eq. 44), m/N: the effector's load to carriage position. Negative: a load holds it back."""
-    return -1 / impedance(carriage, s)
-
-
 @dataclass(frozen=True, eq=False)
 class Effector:
     """Nozzle holder and extruder, joined by a spring and a damper per axis: sub-model 2 (Eqs. 50-62)."""

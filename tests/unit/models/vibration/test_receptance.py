@@ -12,7 +12,6 @@ from models.machine import Machine
 from models.vibration.delta import STATES, Q
 from models.vibration.substructures import (
     command_frf,
-    force_frf,
     impedance,
 )
 
@@ -103,7 +102,9 @@ def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) ->
     j, gamma = as_printed.kinematics.jacobian(place[None])[0], delta_vibration(as_printed).load_map(place[None])[0]
     g = as_printed.vibration.frequency_response(place, FREQUENCIES)
     w = delta_vibration(as_printed).effector_impedance(S)[:, :, None] * np.eye(3)
-    loop = np.eye(3) - force_frf(delta_vibration(as_printed).carriage, S)[:, None, None] * (gamma @ w @ j)
+    loop = (
+        np.eye(3) + (gamma @ w @ j) / impedance(delta_vibration(as_printed).carriage, S)[:, None, None]
+    )  # G_Fq, Eq. 44
     alone = command_frf(delta_vibration(as_printed).carriage, S)[:, None, None] * np.eye(3)
     np.testing.assert_allclose(loop @ g, alone, atol=1e-10)
 
