@@ -63,6 +63,13 @@ class MotionLimits:
     carriage_travel_mm: tuple[float, float] | None = None  # lowest and highest place of a carriage; None: not known
     step_rate_hz: float | None = None  # of each motor, microsteps; None: no limit
 
+    @property
+    def of_axes(self) -> tuple[Four, Four]:
+        """Speeds, mm/s, and accelerations, mm/s², of X Y Z, with a usual extruder's of the filament."""
+        v, a = self.velocity_mm_per_s, self.acceleration_mm_per_s2
+        speeds = (v, v, self.z_velocity_mm_per_s or v, 120.0)
+        return speeds, (a, a, self.z_acceleration_mm_per_s2 or a, 10_000.0)
+
 
 @dataclass(frozen=True)
 class Steps:
@@ -112,15 +119,8 @@ class MarlinSettings:
 
         towers : X Y Z are the towers of a delta
         """
-        v, a, jerk = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
-        return cls(
-            (v, v, limits.z_velocity_mm_per_s or v, 120.0),
-            (a, a, limits.z_acceleration_mm_per_s2 or a, 10_000.0),
-            a,
-            a,
-            a,
-            jerk_mm_per_s=(jerk, jerk, jerk if towers else 0.3, 5.0),
-        )
+        a, jerk = limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
+        return cls(*limits.of_axes, a, a, a, jerk_mm_per_s=(jerk, jerk, jerk if towers else 0.3, 5.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,14 +139,8 @@ class RepRapFirmwareSettings:
     @classmethod
     def within(cls, limits: MotionLimits, delta: bool) -> RepRapFirmwareSettings:
         """Return settings with the nozzle's limits for the axes, and a usual extruder's for the filament."""
-        v, a, jerk = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
-        return cls(
-            (v, v, limits.z_velocity_mm_per_s or v, 120.0),
-            (a, a, limits.z_acceleration_mm_per_s2 or a, 10_000.0),
-            (jerk, jerk, jerk if delta else 0.2, 5.0),
-            a,
-            a,
-        )
+        a, jerk = limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
+        return cls(*limits.of_axes, (jerk, jerk, jerk if delta else 0.2, 5.0), a, a)
 
 
 @dataclass(frozen=True, eq=False)
