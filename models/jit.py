@@ -79,4 +79,5 @@ def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | No
 
 def numba_type(value: Any) -> Any:
     """Return the numba type of a callee of a kernel."""
+    cpu_target.typing_context.refresh()  # it may have been declared just now
     return cpu_target.typing_context.resolve_value_type(value)

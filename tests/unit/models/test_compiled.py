@@ -16,6 +16,7 @@ import pytest
 
 from models import compiled
 from models.printer.kernels.record import PARAMETERS
+from models.printer.kernels.vectors import unrolled
 
 ROOT = Path(__file__).parents[3]
 LOADER = SourceFileLoader("wheel_script", str(ROOT / "scripts" / "wheel"))
@@ -97,6 +98,22 @@ def test_a_kernel_compiled_by_numba_calls_one_of_the_library(library: list[float
 
     assert compiled.compiled(thrice, {}, sources=None)(2.0) == 6.0
     assert library == []
+
+
+@pytest.mark.parametrize("fixture", ["monkeypatch", "library"])
+def test_a_function_of_tuples_takes_any_length(fixture: str, request: pytest.FixtureRequest) -> None:
+    """Also where a library leaves some lengths to numba."""
+    request.getfixturevalue(fixture)
+
+    @unrolled(end=-0.0)
+    def total(y: Any) -> float:
+        return y[0] + total(y[1:])
+
+    def summed(y: Any) -> float:
+        return total(y)
+
+    kernel = compiled.compiled(summed, {}, sources=None)
+    assert kernel((1.0, 2.0, 4.0)) == 7.0 and kernel((1.0,)) == 1.0
 
 
 def test_the_environment_leaves_the_library_alone(library: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
