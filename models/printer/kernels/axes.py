@@ -126,53 +126,53 @@ def motors_at(m: FloatArray, half: Row, t: float, ripple: bool) -> None:
             m[place], m[place + 3 * LANES] = m[place] + more[0], m[place + 3 * LANES] + more[1]
 
 
-Modes: TypeAlias = tuple[float, ...]  # one number a mode
-Axis: TypeAlias = tuple[float, Modes, Modes]  # strain of its friction, p, ṗ
+PerMode: TypeAlias = tuple[float, ...]  # one number a mode
+Axis: TypeAlias = tuple[float, PerMode, PerMode]  # strain of its friction, p, ṗ
 Sway: TypeAlias = tuple[float, float, float, float, float, float]  # θ, θ̇; d and ḋ of the frame's two directions
 Two: TypeAlias = tuple[float, float]
 Axes: TypeAlias = tuple[Axis, Axis, Axis, Sway]
 
 
 @unrolled(end=())
-def _loaded(m: FloatArray, row: Row, n: int, like: Modes) -> Modes:
+def _loaded(m: FloatArray, row: Row, n: int, like: PerMode) -> PerMode:
     """Return a row of each mode."""
     return (at(m, row, n), *_loaded(m, row + EACH, n, like[1:]))
 
 
 @unrolled(end=0)
-def _store(m: FloatArray, row: Row, n: int, values: Modes) -> int:
+def _store(m: FloatArray, row: Row, n: int, values: PerMode) -> int:
     """Store a row of each mode."""
     m[row * LANES + n] = values[0]
     return _store(m, row + EACH, n, values[1:])
 
 
 @unrolled(end=())
-def _plus(by: float, k: Modes, y: Modes) -> Modes:
+def _plus(by: float, k: PerMode, y: PerMode) -> PerMode:
     """Return y + by k."""
     return (y[0] + by * k[0], *_plus(by, k[1:], y[1:]))
 
 
 @unrolled(end=())
-def _without(m: FloatArray, row: Row, n: int, by: float, y: Modes) -> Modes:
+def _without(m: FloatArray, row: Row, n: int, by: float, y: PerMode) -> PerMode:
     """Return y less a row of each mode times `by`."""
     return (y[0] - at(m, row, n) * by, *_without(m, row + EACH, n, by, y[1:]))
 
 
 @unrolled(end=-0.0)
-def _sum(y: Modes) -> float:
+def _sum(y: PerMode) -> float:
     return y[0] + _sum(y[1:])
 
 
 @unrolled(end=-0.0)
-def _dot(m: FloatArray, row: Row, n: int, y: Modes) -> float:
+def _dot(m: FloatArray, row: Row, n: int, y: PerMode) -> float:
     """Return the sum of y times a row of each mode."""
     return at(m, row, n) * y[0] + _dot(m, row + EACH, n, y[1:])
 
 
 @unrolled(end=())
 def _forces(
-    m: FloatArray, row: Row, n: int, stiffer: float, drive: float, follow: float, rate: Modes, place: Modes
-) -> Modes:
+    m: FloatArray, row: Row, n: int, stiffer: float, drive: float, follow: float, rate: PerMode, place: PerMode
+) -> PerMode:
     """Evaluate the acceleration of each mode by its axis' drive."""
     share, belt = at(m, row + 3 * SHARE, n), at(m, row + 3 * BELT_DAMPING, n)
     square = at(m, row + 3 * FREQUENCY2, n) * (1.0 + at(m, row + 3 * HIGHEST, n) * stiffer)
@@ -182,7 +182,7 @@ def _forces(
 
 
 @inlined
-def _driven(m: FloatArray, n: int, y: Modes) -> float:
+def _driven(m: FloatArray, n: int, y: PerMode) -> float:
     """Return what the modes' places, rates or accelerations make of the driven point's."""
     return _dot(m, MODES + 3 * PART, n, y)
 
@@ -233,7 +233,7 @@ def _stiffer(m: FloatArray, n: int, x: float) -> float:
 
 
 @compiled
-def step_lanes(m: FloatArray, h: float, like: Modes, has: ActiveEffects, springs: bool, swaying: bool) -> None:
+def step_lanes(m: FloatArray, h: float, like: PerMode, has: ActiveEffects, springs: bool, swaying: bool) -> None:
     """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
 
     The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts are linear. Unless
@@ -263,7 +263,7 @@ def step_lanes(m: FloatArray, h: float, like: Modes, has: ActiveEffects, springs
 
 @inlined
 def _steps(
-    m: FloatArray, h: float, like: Modes, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+    m: FloatArray, h: float, like: PerMode, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
 ) -> None:
     for l in range(min(len(m), LANES)):  # LANES, which the compiler is not to know: it would write each lane out
         _step(m, l, h, like, springs, rubbing, sticking, swaying, odd)
@@ -271,7 +271,15 @@ def _steps(
 
 @inlined
 def _step(
-    m: FloatArray, l: int, h: float, like: Modes, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+    m: FloatArray,
+    l: int,
+    h: float,
+    like: PerMode,
+    springs: bool,
+    rubbing: bool,
+    sticking: bool,
+    swaying: bool,
+    odd: bool,
 ) -> None:
     """Step one lane."""
     y = _axis(m, l, like), _axis(m, LANES + l, like), _axis(m, 2 * LANES + l, like), _sway(m, l)
@@ -299,7 +307,7 @@ def _sample(m: FloatArray, l: int, a: Row, y: Axis, rates: Axis) -> None:
 
 
 @inlined
-def _sample_sway(m: FloatArray, l: int, y: Axes, rates: Axes, like: Modes) -> None:
+def _sample_sway(m: FloatArray, l: int, y: Axes, rates: Axes, like: PerMode) -> None:
     """Keep the axes' motion, which is seen from the frame, and add to the nozzle's what frame and gantry do."""
     for n in range(9):
         m[(MOTION + 9 + n) * LANES + l] = at(m, MOTION + n, l)
@@ -316,7 +324,7 @@ def _sample_sway(m: FloatArray, l: int, y: Axes, rates: Axes, like: Modes) -> No
 
 
 @inlined
-def _axis(m: FloatArray, n: int, like: Modes) -> Axis:
+def _axis(m: FloatArray, n: int, like: PerMode) -> Axis:
     return at(m, STATE, n), _loaded(m, PLACES, n, like), _loaded(m, RATES, n, like)
 
 

@@ -12,7 +12,7 @@ from models.printer.kernels.axes import (
     MOTION,
     MOTORS,
     WIDTH,
-    Modes,
+    PerMode,
     in_rows,
     keep_motors,
     keep_state,
@@ -39,7 +39,7 @@ def integrate_axes(
 def _integrate(
     states: FloatArray,
     modes: FloatArray,
-    like: Modes,
+    like: PerMode,
     parameters: FloatArray,
     cubics: FloatArray,
     ranges: Rows,
