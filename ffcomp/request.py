@@ -231,12 +231,16 @@ class Declared:
     def accept(self, value: Any) -> Any:
         """Return the value as a request keeps it: of several or a pair a tuple, made of a list, an array or one alone.
 
+        A text where a number belongs is read as on the command line.
+
         Raises
         ------
         RequestError
-            If there are too many, too few or none.
+            If there are too many, too few or none, or a text is no number.
         """
         plain, single = self.plain_type, isinstance(value, str | PathLike) or not hasattr(value, "__len__")
+        if isinstance(value, str) and plain in (int, float):
+            return self.read(value)
         if self.option.parse is None and self.many:
             if value is None and not self.required:
                 return None

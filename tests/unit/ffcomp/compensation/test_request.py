@@ -10,6 +10,11 @@ from ffcomp.compensation.request import CompensateRequest
 from ffcomp.errors import RequestError
 
 
+def test_a_text_is_read_where_a_number_belongs() -> None:
+    read = CompensateRequest("a.gcode", "kossel", max_error_um="60", tolerance_um="5")  # type: ignore[arg-type]
+    assert (read.errors_um, read.tolerance_um) == ({"": 60.0}, 5.0)
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -20,6 +25,8 @@ from ffcomp.errors import RequestError
         ({"inverse": "quick"}, "there is no 'quick'"),
         ({"tolerance_um": 0.0}, "at least 0.1 µm"),
         ({"safety": 0.6}, "0.001 to 0.5"),
+        ({"max_error_um": "sixty"}, "it is a number of µm"),
+        ({"tolerance_um": "fine"}, "it is a number"),
         ({"jobs": 0}, "at least 1"),
     ],
 )
