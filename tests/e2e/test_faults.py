@@ -106,9 +106,9 @@ def as_nobody() -> Iterator[None]:
 
 
 @pytest.fixture
-def foreign() -> Iterator[Path]:
+def foreign(small: Path) -> Iterator[Path]:
     """A folder with a print that others may read; pytest's own folders may not be entered by others."""
-    machine()  # nobody may not look for it in this user's folder
+    compensated(small)  # whatever it loads: nobody may not look for it in this user's folders
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "small.gcode").write_bytes(SMALL)
