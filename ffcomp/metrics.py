@@ -201,11 +201,11 @@ def contour_error(
     # before the path begins its first segment counts, after its end the last one
     low = np.minimum(np.searchsorted(last, actual_t - window_s, side="left"), len(last) - 1)
     high = np.maximum(np.searchsorted(first, actual_t + window_s, side="right"), 1)
-    return _distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
+    return distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
 
 
 @fast_kernel
-def _distance_to_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
+def distance_to_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
     """Return the distance : (m,) of each point to the nearest of its segments low ≤ k < high."""
     out = np.empty(len(points))
     for i in range(len(points)):
@@ -215,25 +215,6 @@ def _distance_to_path(path: FloatArray, points: FloatArray, low: IntArray, high:
             dx, dy, dz = _offset(path, k, x, y, z)
             best = min(best, dx * dx + dy * dy + dz * dz)
         out[i] = np.sqrt(best)
-    return out
-
-
-@fast_kernel
-def offset_from_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
-    """Return the vector : (m, 3) to each point from the nearest point of its segments low ≤ k < high (at least one).
-
-    path : (n, 3), points : (m, 3), low and high : (m,); contiguous.
-    """
-    out = np.empty_like(points)
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        best = np.inf
-        for k in range(low[i], high[i]):
-            dx, dy, dz = _offset(path, k, x, y, z)
-            distance2 = dx * dx + dy * dy + dz * dz
-            if distance2 < best:
-                best = distance2
-                out[i, 0], out[i, 1], out[i, 2] = dx, dy, dz
     return out
 
 

@@ -38,7 +38,6 @@ from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.predict import (
-    complex_log_error,
     error_reduction,
     mean_absolute_percentage_accuracy,
     predicted,
@@ -159,6 +158,12 @@ def told(cell: Sequence[float]) -> dict[str, float]:
 def key_of(r: FrequencyResponse) -> tuple[str, tuple[float, float, float]]:
     assert r.position_mm is not None
     return r.input[-1], r.position_mm
+
+
+def complex_log_error(measured: np.ndarray, predicted: np.ndarray) -> float:
+    """Compute the rms of |ln(P/M)|: relative errors of magnitude and phase (rad) at once, on the nearest branch."""
+    ratio = predicted / measured
+    return float(np.sqrt(np.mean(np.log(np.abs(ratio)) ** 2 + np.angle(ratio) ** 2)))
 
 
 def accuracy(r: FrequencyResponse, model: np.ndarray) -> tuple[float, float, float]:

@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.effect import Effect
 
-INFINITELY = 1e6  # beyond that nobody wants the digits
-
 
 def digits(value: float, places: int = 3) -> str:
     """Significant ones: 0.0801, 4.5, 63, 4010."""

@@ -162,12 +162,6 @@ def log_error_db(measured: ComplexArray, predicted: ComplexArray) -> float:
     return float(np.sqrt(np.mean((20 * np.log10(np.abs(predicted) / np.abs(measured))) ** 2)))
 
 
-def complex_log_error(measured: ComplexArray, predicted: ComplexArray) -> float:
-    """Compute the rms of |ln(P/M)|: relative errors of magnitude and phase (rad) at once, on the nearest branch."""
-    ratio = predicted / measured
-    return float(np.sqrt(np.mean(np.log(np.abs(ratio)) ** 2 + np.angle(ratio) ** 2)))
-
-
 def phases_deg(measured: ComplexArray, predicted: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Return both phases on one branch, (k,) degrees: the prediction unwrapped, the measured one nearest to it."""
     reference = np.unwrap(np.angle(predicted))

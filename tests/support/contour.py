@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.metrics import offset_from_path, progress_in_order
+from ffcomp.metrics import distance_to_path, progress_in_order
 from models.arrays import FloatArray, IntArray
 
 NEAR_MM = 0.1  # of a path around the place where a sample is, within which its nearest segment is sought
@@ -23,5 +23,4 @@ def contour_error_in_order(
     first = np.minimum(np.searchsorted(begins[1:], at - NEAR_MM), segment)
     last = np.maximum(np.searchsorted(begins[:-1], at + NEAR_MM), segment + 1)
     bounds = np.maximum(first, low), np.minimum(last, np.maximum(high, low + 1))
-    away = offset_from_path(np.ascontiguousarray(path), np.ascontiguousarray(nozzle), *bounds)
-    return np.sqrt((away**2).sum(axis=1))
+    return distance_to_path(np.ascontiguousarray(path), np.ascontiguousarray(nozzle), *bounds)
