@@ -1,17 +1,19 @@
 """Predict a print's errors without and with compensation by the design model, while it is compensated.
 
 This is a prediction by the model that the command was designed with, not a proof: an independent plant evaluates in the
-tests and in `compare`. It is of the segments as their lines state them. Long prints are sampled section by section,
-evenly, and the result states how much it covers.
+tests and in `compare`. It is of the segments as their lines state them, and of the sliced lines as the firmware runs
+them: Marlin rounds the ends of both to whole steps, before its own shaper too. Long prints are sampled section by
+section, evenly, and the result states how much it covers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
@@ -25,6 +27,7 @@ from models.machine import Machine
 
 LONGEST_S = 100.0  # of print time that is simulated for the prediction
 SAMPLE_S = 1e-3  # about
+Position = Callable[[FloatArray], FloatArray]  # (m,) s → (m, 3) mm
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples fall evenly between whole numbers, whatever a print repeats
 
 
@@ -92,17 +95,18 @@ class Samples:
 class Prediction:
     """Collects samples of runs while they are compensated."""
 
-    def __init__(self, model: InverseModel, share: float) -> None:
-        """Simulate this share of the print; above 1, all of it.
+    def __init__(self, model: InverseModel, share: float, flavor: str) -> None:
+        """Simulate this share of a print for a firmware; above 1, all of it.
 
         On the printers that the file allows, less is simulated: EXCERPT_S in LONGEST_S.
         """
-        self.model, self.share = model, share
+        self.model, self.share, self.firmware = model, share, FIRMWARES[flavor].segments(model)
         s = model.settings
         self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
         self.samples = Samples(self.every * s.segment_s / s.substeps)
         self.seen_s = 0.0
         self.sections = 0  # that were taken in
+        self.ringing: FloatArray | None = None  # the plant without compensation, as the last section has ended
 
     def wants(self, reference: Reference) -> bool:
         """Return whether to sample this section; to be called once for each."""
@@ -112,13 +116,13 @@ class Prediction:
         return due and not self.samples.failed
 
     def add(self, solved: SolvedSection, written: Sequence[TimedSegments] = ()) -> None:
-        """Take one compensated section in; `written`: its segments, where they are other than the solved ones."""
+        """Take the next section in if it is sampled; `written`: its segments, where others than the solved ones."""
         try:
-            self._add(solved, written)
+            self.ringing = self._add(solved, written) if solved.sampled else None
         except Exception as error:
             self.samples.failed = failure(error)
 
-    def _add(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> None:
+    def _add(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> FloatArray:
         model, s, samples, every = self.model, self.model.settings, self.samples, self.every
         reference, result = solved.reference, solved.solution
         length = reference.knots * s.segment_s
@@ -129,8 +133,13 @@ class Prediction:
         samples.reference.append(nozzle[every::every] + shift)
         samples.place = samples.reference[-1][-1]
         self._add_path(reference, shift)
-        state = model.machine.equilibrium(nozzle[0])
-        plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
+        if self.ringing is None or solved.rest_s is None:
+            state = model.machine.equilibrium(nozzle[0])
+        else:
+            state = model.state_after_rest(self.ringing, nozzle[0], solved.rest_s)
+        sliced = self._sliced(reference) if written else reference.nozzle
+        t = reference.t0 + self._step_s * np.arange(len(nozzle), dtype=np.float64)
+        plain, ringing = model.plant.respond(sliced(t), velocity, state, s.substeps)
         solved_for, executed = self._commands(solved, written)
         response = result.response + self._joining(solved, nozzle, solved_for, executed)
         knots = nozzle[:: s.substeps]
@@ -138,10 +147,17 @@ class Prediction:
             motion.actual.append(actual[every - 1 :: every] + shift)
             bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s)
             motion.peak = max(motion.peak, bend)
-        samples.pieces += self._pieces(solved, executed)
+        samples.pieces += self._pieces(solved, sliced, executed)
         samples.clock += length
+        return ringing
 
-    def _pieces(self, solved: SolvedSection, executed: FloatArray) -> list[Piece]:
+    def _sliced(self, reference: Reference) -> Position:
+        """Return the nozzle by the sliced lines, whose ends the firmware rounds."""
+        due, corners = reference.path()
+        off = self.firmware.rounded(corners) - corners
+        return lambda t: reference.nozzle(t) + np.stack([np.interp(t, due, column) for column in off.T], axis=1)
+
+    def _pieces(self, solved: SolvedSection, sliced: Position, executed: FloatArray) -> list[Piece]:
         """Return its share of a section, or all of it if the print is short."""
         reference = solved.reference
         times = reference.t0 + self._step_s * np.arange(len(executed), dtype=np.float64)
@@ -149,7 +165,7 @@ class Prediction:
         self.sections += 1
         lot = GOLDEN * self.sections % 1.0
         path = path_corners_with_rests(solved.trajectory)
-        return pieces_of_segments(reference.nozzle, times, executed, path, share, lot)
+        return pieces_of_segments(sliced, times, executed, path, share, lot)
 
     @property
     def _step_s(self) -> float:

@@ -57,7 +57,7 @@ def compensated_sections(
     renderer : writes this chunk
     """
     planned, extent, model = chunk.planned, chunk.chunk.extent, context.model
-    prediction = Prediction(model, context.share) if chunk.simulated else None
+    prediction = Prediction(model, context.share, context.flavor) if chunk.simulated else None
     checks: list[BoundCheck | PressureCheck] = []
     if context.bound is not None:
         checks.append(BoundCheck(context.bound, planned.program, chunk.chunk.feature, model.settings))
@@ -86,7 +86,7 @@ def compensated_sections(
             statistics = of_section(section, solved, planned, extent, model)
             for check in checks:
                 check.add(solved)
-            if prediction is not None and solved.sampled:
+            if prediction is not None:
                 prediction.add(solved, renderer.written())
         yield Output(text, statistics, min(section.end_t / end_t, 1.0))
     text = [*renderer.finish()]

@@ -187,6 +187,10 @@ class Segments:
         """
         return at, points
 
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Return where the firmware ends lines of the file that end at points, (n, 3) mm."""
+        return points
+
     def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
         """Return the points (n, 3) mm that may end segments so that the firmware drops none, (m,).
 

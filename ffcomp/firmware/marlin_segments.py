@@ -78,6 +78,10 @@ class MarlinSegments(Segments):
         kept = inside(stepped)
         return np.where(kept, due, at), np.where(kept[:, None], stepped, points)
 
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Return the ends of the file's own lines at whole steps."""
+        return self.steps.nearest(points)
+
     def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
         """Leave out the ends of segments that Marlin would drop."""
         return _executed(np.rint(self.steps.motors(points)), fixed, ends, self.settings.minimum_steps_per_segment)

@@ -99,9 +99,15 @@ class WholeSteps:
             self.most,
         )
         chosen[:, ~self.free] = steps[:, ~self.free]
+        return np.where(fixed[:, None], points, self._nozzle(chosen)), due
+
+    def nearest(self, points: FloatArray) -> FloatArray:
+        """Return where the nozzle is at the whole steps that are nearest to points, (n, 3) mm."""
+        return self._nozzle(np.rint(self.motors(points)))
+
+    def _nozzle(self, steps: FloatArray) -> FloatArray:
         k = self.kinematics
-        placed = k.forward((chosen / self.steps_per_mm + self._lift_mm) @ np.linalg.inv(k.motors).T)
-        return np.where(fixed[:, None], points, placed), due
+        return k.forward((steps / self.steps_per_mm + self._lift_mm) @ np.linalg.inv(k.motors).T)
 
     def motors(self, points: FloatArray) -> FloatArray:
         """Return the motors' steps, not rounded, at points (n, 3) mm."""
