@@ -38,6 +38,7 @@ JUMP_MM = 1.0  # from row to row: no motor does that
 NEAR_S = 0.5  # around a piece, of its path that is kept: longer than the contour error looks
 LEAST_VALUE = 0.2  # times its value, that a number keeps at least
 KINDS = ("zv", "mzv", "ei", "2hump_ei")
+TUNED_ON = 2  # pieces, the loudest: the shapers found leave within 1 % of those tuned on all, in a sixth of the time
 FACTORS = tuple(np.geomspace(0.8, 1.9, 10).tolist())  # of a shaper's frequencies to those of the modes
 TIE = 1.05  # ratio of expected errors that makes no difference
 UNKNOWN_SD = 0.15  # of the modes: from there on the next step is a measurement
@@ -255,9 +256,10 @@ def errors_um(
 
 
 def tuned_shapers(machine: Machine, pieces: Sequence[Piece]) -> list[Tuned]:
-    """Return the best shaper of each kind for these pieces on the printer of the machine file."""
+    """Return the best shaper of each kind, for the pieces that ring most on the printer of the machine file."""
     (printer,) = playbacks([machine])
-    return [_tuned(machine, printer, pieces, kind) for kind in KINDS]
+    loudest = sorted(pieces, key=lambda piece: -float(piece.planned(printer, None, None).sum()))[:TUNED_ON]
+    return [_tuned(machine, printer, loudest, kind) for kind in KINDS]
 
 
 def shaped_errors(
@@ -324,7 +326,7 @@ def _tuned(machine: Machine, printer: Printer, pieces: Sequence[Piece], kind: st
         return x, y
 
     def cost(settings: FloatArray) -> float:
-        return _rms_um([piece.planned(printer, *of(settings)) for piece in pieces[:: len(pieces) // 2 + 1]])
+        return _rms_um([piece.planned(printer, *of(settings)) for piece in pieces])
 
     centre = np.array([machine.kinematics.centre_mm], dtype=float)
     modes = shapers.dominant_frequencies(design_machine(machine)[0], centre)[0]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.simulation.command import planned_motion
-from ffcomp.simulation.expectation import Expectation, expectation, pieces_of
+from ffcomp.simulation.expectation import Expectation, Piece, expectation, pieces_of, tuned_shapers
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.prints import squares
@@ -19,10 +20,14 @@ def machine() -> Machine:
     return load_machine("ender-3")
 
 
+def pieces(machine: Machine) -> list[Piece]:
+    (stretch,), _ = Print(squares(1), "squares.gcode", machine, machine.kinematics.centre_mm).slices(Sampling())
+    return pieces_of(stretch.motion, planned_motion(stretch.trajectory), stretch.corners)
+
+
 def uncompensated(machine: Machine) -> Expectation:
     """What the firmware's plan itself would be, were it a compensation."""
-    (stretch,), _ = Print(squares(1), "squares.gcode", machine, machine.kinematics.centre_mm).slices(Sampling())
-    found = expectation(machine, pieces_of(stretch.motion, planned_motion(stretch.trajectory), stretch.corners))
+    found = expectation(machine, pieces(machine))
     assert found is not None
     return found
 
@@ -41,3 +46,12 @@ def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(mac
     assert "ffcomp record plan --for identify -m ender-3" in found.next_step
     assert found.shaper_um > uncompensated(replace(machine, uncertainty={"default": 0.0})).shaper_um > 0.0
     assert not replace(found, compensated_um=1.0).shaper_is_better
+
+
+def test_pieces_where_nothing_rings_do_not_tune_a_shaper(machine: Machine) -> None:
+    (loud,) = pieces(machine)
+    plan, path = (np.broadcast_to(loud.plan[0], each.shape) for each in (loud.plan, loud.path))
+    still = replace(loud, plan=plan, path=path)
+    assert [each.name for each in tuned_shapers(machine, [still, loud, still])] == [
+        each.name for each in tuned_shapers(machine, [loud])
+    ]
