@@ -7,7 +7,7 @@ A section whose command keeps all limits is unchanged. Otherwise, in a few round
     segments that the firmware cannot execute in their time                → those moves become slower
     none of these                                                          → done
 
-Lifts, and the travel next to them, may be a few ms late instead: that costs less, and the print time counts it.
+Lifts, and the travel next to them, may be late instead: that costs less, and the print time counts it.
 
 Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
 proportion; where the nozzle keeps its speed, in curves and far from the middle, it is v² that does.
@@ -67,7 +67,6 @@ PHASES = 4  # of the knots, where a path is sampled
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
 LATE_TRAVEL_MM = 0.2  # and how far in XY where no filament flows, on a machine that joins lifts: slower ones cost more
-LATEST_S = 0.1  # that a section may end later than planned because of such segments
 KNOT = 1e-6  # of a segment: nearer is at a knot
 STEADY = 0.02  # relative variation of a speed that counts as constant
 
@@ -423,6 +422,5 @@ def _late_segments(model: InverseModel, written: WrittenReference, vertices: Flo
     if s.joins_lifts and late.any():
         waits = late & (filament <= FLOWS_MM)
         waits &= np.minimum(behind_s / lasting, 1.0) * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
-        if behind_s[waits].sum() <= LATEST_S:
-            late &= ~waits
+        late &= ~waits
     return np.repeat(late, np.diff(stay))

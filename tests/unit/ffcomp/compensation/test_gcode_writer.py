@@ -219,6 +219,15 @@ def test_a_wipe_costs_no_time() -> None:
     assert float(pulled.sum()) == pytest.approx(-8.0, abs=0.05)
 
 
+def test_many_lifts_in_one_motion_slow_nothing_down() -> None:
+    """A lead screw's lifts may each be late, however many there are: 16 wipes of a nozzle on Bambu Lab's bed."""
+    wipe = "".join(f"G0 Z2 F20000\nG0 X125 Y{150 + k % 3}\nG0 Z.5\nG0 X131 F600\nG0 X124\n" for k in range(16))
+    data = f"G28\nG90\nM83\nG1 X100 Y150 Z2 F20000\n{wipe}".encode()
+    found = anywhere(data, load_machine("bambu-p1"), predict=False, flavor="marlin", offset=(0.0, 0.0))[1].statistics
+    assert not found.slowed
+    assert found.print_time_s < 1.02 * found.original_print_time_s  # 1.77 when they are slowed
+
+
 @pytest.mark.parametrize("flavor", ["klipper", "marlin"])
 def test_no_second_has_more_than_250_segments(flavor: str) -> None:
     """By the firmware's plan: with lines that cut segments, retractions, and limits of the file that hold on."""
