@@ -97,7 +97,7 @@ class ImportedMachine(Result):
     def facts(self) -> list[Fact]:
         """Every value with its source: read, converted, the firmware's default or assumed."""
         values = sorted(self.made.values.items(), key=lambda item: ORDER.index(item[1].how))
-        return [(key, f"{_shown(value.value)}, {value.how}: {value.origin}") for key, value in values]
+        return [(key, f"{_shown(v.value)}, {v.how}: {v.origin.removeprefix(f'{v.how}: ')}") for key, v in values]
 
     @property
     def warnings(self) -> list[str]:
@@ -143,5 +143,5 @@ ORDER = ("read", "converted", "default", "assumed")
 
 def _shown(value: object) -> str:
     if isinstance(value, list):
-        return ", ".join(map(_shown, value))
+        return ", ".join(map(_shown, value)) or "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
