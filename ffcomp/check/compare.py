@@ -1,162 +1,29 @@
-"""Compare two checks: whether the difference is noise, and if not, which one part explains it.
-
-Every part is fitted by itself, first along its signature; the best ones are simulated again at the size that was found,
-until that does not change: large changes are not proportional.
-"""
+"""A check from captures to sentences: whether the printer moves as last time, or which one change explains it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
+from ffcomp.check.changes import AS_NOISE, Difference, Explanation, compare, earlier_machine, expected_signals
 from ffcomp.check.history import Check, moves_hash
-from ffcomp.check.parts import Part, Signatures, fitted
-from ffcomp.check.signals import RATE_HZ, SensorSignal, Weighed, signals_of, weighed
+from ffcomp.check.signals import SensorSignal, share_apart, signals_of
 from ffcomp.numerics.serialise import keys
-from ffcomp.record.plan import Plan, plan_dict
+from ffcomp.record.plan import Experiment, Plan, plan_dict
 from ffcomp.record.result import JoinResult
 from ffcomp.result import Fact, Result
-from models.arrays import FloatArray
 from models.machine import Machine
-
-AS_NOISE = 1.25  # times the noise: nothing has changed
-TRIED_AGAIN, TIMES = 5, 5  # best parts, and how often
-WORTHWHILE = 0.1  # of what the best part explains along its signature
-CONVERGED = 2e-3  # of the size
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """One part, fitted to the difference."""
-
-    json_keys: ClassVar = keys("sd", "explains", "said", part="part.name", change="value", unit="part.unit")
-
-    part: Part
-    value: float  # of the part's unit
-    sd: float
-    share: float  # of the difference that is not noise
-
-    @property
-    def explains(self) -> float:
-        """The share of the difference, 0 to 1."""
-        return min(self.share, 1.0)
-
-    @property
-    def said(self) -> str:
-        """The change in words."""
-        return self.part.words(self.value)
-
-
-@dataclass(frozen=True)
-class Difference:
-    """What differs between two checks."""
-
-    size: float  # of the difference, as a share of the signal
-    noise: float  # what noise alone would leave, as a share of the signal
-    times: float  # the weighed difference, in times the noise
-    rows: float  # that are independent
-    explanations: tuple[Explanation, ...]  # the best first
-    turned_deg: float  # of the sensor about the vertical, if that and its gain were all that changed
-    gain: float  # of the sensor, relative
-    sensor_share: float  # of the difference, that both explain
-
-
-def pairs_of(today: Sequence[SensorSignal], then: Sequence[SensorSignal]) -> list[tuple[SensorSignal, SensorSignal]]:
-    """Pair the experiments that both checks have."""
-    earlier = {each.name: each for each in then}
-    return [(each, earlier[each.name]) for each in today if each.name in earlier]
-
-
-def share_apart(felt: SensorSignal, other: FloatArray) -> float:
-    """Return what differs from (n, 3) m/s² without a delay, as a share of the signal."""
-    slope = np.gradient(felt.acceleration, 1.0 / RATE_HZ, axis=0)
-    apart = felt.acceleration - other
-    apart = apart - slope * (np.sum(slope * apart) / max(float(np.sum(slope**2)), 1e-300))
-    return float(np.sqrt(np.mean(apart**2))) / felt.size
-
-
-def compare(pairs: Sequence[tuple[SensorSignal, SensorSignal]], around: Signatures) -> Difference:
-    """Compare two checks; the signatures are those around the earlier one."""
-    problem = weighed(pairs)
-    left = problem.fit([]).left
-    changed = max(left - problem.rows, 1e-9 * left)
-    explanations = [_along(problem, around, part, left, changed) for part in around.of]
-    explanations.sort(key=lambda each: -each.share)
-    if left > AS_NOISE**2 * problem.rows:
-        tried = [each for each in explanations[:TRIED_AGAIN] if each.share > WORTHWHILE * explanations[0].share]
-        explanations[: len(tried)] = _again(problem, around, tried, left, changed)
-    sensor = problem.fit(_of_sensor(problem, pairs))
-    signal = np.sqrt(np.mean([felt.size**2 for felt, _ in pairs]))
-    apart = np.sqrt(np.mean([(a.size * share_apart(a, b.acceleration)) ** 2 for a, b in pairs]))
-    noise = np.sqrt(np.mean([np.mean(a.noise**2 + b.noise**2) for a, b in pairs]))
-    return Difference(
-        size=float(apart / signal),
-        noise=float(noise / signal),
-        times=float(np.sqrt(left / problem.rows)),
-        rows=problem.rows,
-        explanations=tuple(sorted(explanations, key=lambda each: -each.share)),
-        turned_deg=float(np.rad2deg(sensor.values[0])),
-        gain=float(sensor.values[1]),
-        sensor_share=(left - sensor.left) / changed,
-    )
-
-
-def _along(problem: Weighed, around: Signatures, part: Part, left: float, changed: float) -> Explanation:
-    fit = problem.fit([problem.column(around.of[part])])
-    value = float(np.clip(fit.values[0], part.range.lowest, part.range.highest))
-    share = (left - fit.left) / changed if value == fit.values[0] else 0.0
-    return Explanation(part, value, float(fit.sd[0]), share)
-
-
-def _again(
-    problem: Weighed, around: Signatures, explanations: Sequence[Explanation], left: float, changed: float
-) -> list[Explanation]:
-    """Fit some parts by Gauss and Newton, all of them simulated together."""
-    sizes = {each.part: each.value for each in explanations}
-    best = {each.part: Explanation(each.part, each.value, each.sd, 0.0) for each in explanations}
-    for _ in range(TIMES):
-        before = dict(sizes)
-        for part, (change, slope) in around.at(sizes).items():
-            there, column = problem.column(change), problem.column(slope)
-            share = (left - problem.fit([], without=there).left) / changed
-            step = problem.fit([column], without=there)
-            if share > best[part].share:
-                best[part] = Explanation(part, sizes[part], float(step.sd[0]), share)
-            elif best[part].share > 0.0:  # beyond the best: half of the way back
-                sizes[part] = 0.5 * (sizes[part] + best[part].value)
-                continue
-            sizes[part] = float(np.clip(sizes[part] + step.values[0], part.range.lowest, part.range.highest))
-        sizes = {part: size for part, size in sizes.items() if abs(size - before[part]) > CONVERGED * abs(size)}
-        if not sizes:
-            break
-    return list(best.values())
-
-
-def _of_sensor(problem: Weighed, pairs: Sequence[tuple[SensorSignal, SensorSignal]]) -> list[FloatArray]:
-    """Return what a sensor shows that is turned about the vertical, and one that reads more."""
-    gain = {then.name: then.acceleration for _, then in pairs}
-    turn = {name: np.column_stack([felt[:, 1], -felt[:, 0], 0.0 * felt[:, 2]]) for name, felt in gain.items()}
-    return [problem.column(turn), problem.column(gain)]
-
 
 EXPLAINED = 0.9  # of the change, by the part that is named
 APART = 2.0  # times as much must be left by any other part
 LEAST_LEFT = 0.01  # of the change: less is not to be relied on
-SURE = 5.0  # standard deviations
 TURNED_DEG, GAINED = 1.0, 0.02
 LOUD = 0.1  # noise, as a share of the signal
-SAME, CHANGED, UNKNOWN, SENSOR, CANNOT_TELL, FIRST = (
-    "same",
-    "changed",
-    "unknown",
-    "sensor",
-    "cannot_tell",
-    "first",
-)
+SAME, CHANGED, UNKNOWN, SENSOR, CANNOT_TELL, FIRST = "same", "changed", "unknown", "sensor", "cannot_tell", "first"
 
 
 @dataclass(frozen=True)
@@ -168,89 +35,75 @@ class Verdict:
     named: tuple[Explanation, ...] = ()
 
 
-def verdict(comparison: Difference, last: str, axes_then: str, axes_now: str) -> Verdict:
-    """Say what two checks show, the earlier one of the date `last`."""
-    turned = (
-        ""
-        if axes_then == axes_now
-        else (
-            f"The accelerometer was turned since {last}: the printer's axes were {axes_then} of its own, and are "
+def verdict(found: Difference, then: Check, axes_now: str) -> Verdict:
+    """Say what an earlier check and this one show."""
+    last, turned = _day(then.date), ""
+    if then.axes_map != axes_now:
+        turned = (
+            f"The accelerometer was turned since {last}: the printer's axes were {then.axes_map} of its own, and are "
             f"{axes_now} now. It is turned back for the comparison. "
         )
-    )
-    if comparison.times <= AS_NOISE:
-        quiet = _quiet(comparison, last)
-        if turned and quiet.finding == SAME:
-            return Verdict(SENSOR, turned + f"Otherwise the printer moves as on {last}.")
-        return Verdict(quiet.finding, turned + quiet.message, quiet.named)
-    moved = _sensor(comparison)
-    if moved is not None:
+    differs = f"it differs by {found.size:.1%} of the signal, and noise would by {found.noise:.1%}"
+    if found.times <= AS_NOISE:
+        missed = [
+            each for each in found.explanations if abs(each.value) + 3.0 * each.sd > (each.change.worth or np.inf)
+        ]
+        if found.noise > LOUD or missed:
+            return Verdict(
+                CANNOT_TELL,
+                f"{turned}Cannot tell whether the printer moves as on {last}: noise is {found.noise:.0%} of the "
+                "signal. Tighten the accelerometer, stop fans and other sources of vibration, and check again.",
+            )
+        if turned:
+            return Verdict(SENSOR, f"{turned}Otherwise the printer moves as on {last}.")
+        return Verdict(SAME, f"As on {last}: {differs}.")
+    if moved := _sensor(found):
         return Verdict(SENSOR, turned + moved)
-    explained = _explained(comparison, last)
-    return Verdict(explained.finding, turned + explained.message, explained.named)
-
-
-def _differs(comparison: Difference) -> str:
-    return f"it differs by {comparison.size:.1%} of the signal, and noise would by {comparison.noise:.1%}"
-
-
-def _quiet(comparison: Difference, last: str) -> Verdict:
-    """Judge a difference that looks like noise."""
-    hidden = [each for each in comparison.explanations if each.part.worth is not None]
-    loud = [each for each in hidden if abs(each.value) + 3.0 * each.sd > (each.part.worth or 0.0)]
-    sure = [each for each in loud if abs(each.value) > SURE * each.sd]
-    if comparison.noise > LOUD or loud:
-        hint = f" Perhaps {sure[0].part.words(sure[0].value)}." if sure else ""
-        return Verdict(
-            CANNOT_TELL,
-            f"Cannot tell whether the printer moves as on {last}: noise is {comparison.noise:.0%} of the signal."
-            f"{hint} Tighten the accelerometer, stop fans and other sources of vibration, and check again.",
-        )
-    return Verdict(SAME, f"As on {last}: {_differs(comparison)}.")
-
-
-def _sensor(comparison: Difference) -> str | None:
-    turned, gain, share = abs(comparison.turned_deg), comparison.gain, comparison.sensor_share
-    others = max((each.share for each in comparison.explanations), default=0.0)
-    if share < EXPLAINED or share <= others:
-        return None
-    explains = f"that explains {min(share, 1.0):.0%} of the change."
-    if turned > TURNED_DEG and abs(gain) <= GAINED:
-        return (
-            f"The accelerometer is turned by {turned:.0f}° about the vertical since then: {explains} Fasten it as it "
-            "was, and check again."
-        )
-    if abs(gain) > GAINED:
-        return (
-            f"The accelerometer reads {abs(gain):.0%} {'more' if gain > 0 else 'less'} of the same motion: {explains} "
-            "It is another one, or its range was changed; the next check will be compared with this one."
-        )
-    return None
-
-
-def _explained(comparison: Difference, last: str) -> Verdict:
-    """Name the part that explains the change, or the parts that do so equally well."""
-    changed = f"The printer has changed since {last}: {_differs(comparison)}."
-    best = comparison.explanations[0] if comparison.explanations else None
-    if best is None or best.share < EXPLAINED:
+    changed = f"{turned}The printer has changed since {last}: {differs}."
+    named = _named(found)
+    if not named:
         return Verdict(UNKNOWN, f"{changed} No single part explains it, so the check does not name one.")
+    words = ", or ".join(each.change.words(each.value) for each in named)
+    unlike = " The check cannot separate these, or a mixture of them." if len(named) > 1 else ""
+    explains = f"that explains {min(named[0].share, 1.0):.0%} of it."
+    return Verdict(CHANGED, f"{changed} {words[0].upper()}{words[1:]}: {explains}{unlike}", named)
+
+
+def _sensor(found: Difference) -> str:
+    """Say what is with the sensor, where that explains the change better than the printer; '' where not."""
+    others = max((each.share for each in found.explanations), default=0.0)
+    if found.sensor_share < max(EXPLAINED, others):
+        return ""
+    explains = f"that explains {min(found.sensor_share, 1.0):.0%} of the change."
+    if abs(found.gain) > GAINED:
+        return (
+            f"The accelerometer reads {abs(found.gain):.0%} {'more' if found.gain > 0 else 'less'} of the same motion: "
+            f"{explains} It is another one, or its range was changed; the next check will be compared with this one."
+        )
+    if abs(found.turned_deg) > TURNED_DEG:
+        return (
+            f"The accelerometer is turned by {abs(found.turned_deg):.0f}° about the vertical since then: {explains} "
+            "Fasten it as it was, and check again."
+        )
+    return ""
+
+
+def _named(found: Difference) -> tuple[Explanation, ...]:
+    """Return the change that explains the difference, and those that do so equally well; none where none does."""
+    if not found.explanations or found.explanations[0].share < EXPLAINED:
+        return ()
+    best, *others = found.explanations
     # of a change that noise half hides, the shares themselves are uncertain
-    unsure = max(LEAST_LEFT, 3.0 * float(np.sqrt(2.0 / comparison.rows)) / (comparison.times**2 - 1.0))
+    unsure = max(LEAST_LEFT, 3.0 * float(np.sqrt(2.0 / found.rows)) / (found.times**2 - 1.0))
     left = max(1.0 - best.share, unsure)
-    alike = [
-        each for each in comparison.explanations[1:] if each.share >= EXPLAINED and 1.0 - each.share < APART * left
-    ]
-    named = (best, *alike)
-    words = ", or ".join(each.part.words(each.value) for each in named)
-    unlike = " The check cannot separate these, or a mixture of them." if alike else ""
-    return Verdict(
-        CHANGED,
-        f"{changed} {words[0].upper()}{words[1:]}: that explains {min(best.share, 1.0):.0%} of it.{unlike}",
-        named,
-    )
+    return best, *(each for each in others if each.share >= EXPLAINED and 1.0 - each.share < APART * left)
 
 
-# ---- a check from captures to sentences: the order of the work -----------------------------------
+def _day(date: str) -> str:
+    return date.replace("T", " ")
+
+
+# ---- the result ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -271,12 +124,14 @@ class CheckResult(Result):
     drawn_by: ClassVar = {"history": "ffcomp.report.check:checks_figure"}
     schema = "ffcomp-check/1"
     json_keys: ClassVar = keys(
-        *("machine", "compared_with", "since_first", "first_date", "experiments", "history", "notes"),
+        *("machine", "since_first", "experiments", "history", "notes"),
         machine_sha256="check.machine_sha256",
         date="check.date",
         finding="verdict.finding",
         said="verdict.message",
         named="verdict.named",
+        compared_with="since.date",
+        first_date="first.date",
         gap="check.gap",
         noise="check.noise",
         difference="check.difference",
@@ -289,13 +144,13 @@ class CheckResult(Result):
 
     check: Check  # for the history
     verdict: Verdict
-    experiments: tuple[Size, ...]
+    experiments: Sequence[Size]
     compared: Difference | None
-    compared_with: str | None  # date
+    since: Check | None  # the check that this one is compared with
     since_first: Verdict | None  # where it differs from the verdict
-    first_date: str | None
+    first: Check | None
     known: bool  # the very captures are in the history already
-    notes: tuple[str, ...]
+    notes: Sequence[str]
     machine: str = ""  # its name
     history: Path | None = None  # the file of earlier checks
     checks: Sequence[Check] = ()  # of the history, with this one
@@ -332,52 +187,67 @@ class CheckResult(Result):
         return []
 
 
+# ---- the order of the work -----------------------------------------------------------------------
+
+
 def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequence[Check], date: str) -> CheckResult:
     """Compare what was joined with the machine file and with the history."""
-    signals = signals_of(joined.joined, plan)
+    signals, axes = signals_of(joined.joined, plan), joined.joined[0].axes_map
     moves = moves_hash(plan_dict(plan)["experiments"])
     comparable = [each for each in history if each.plan == moves and each.signals]
     known = [each for each in comparable if each.is_same_recording(signals)]
     earlier = comparable[: comparable.index(known[0])] if known else comparable
-    names = {each.name for each in signals}
-    signatures = Signatures(machine, [each for each in plan.experiments if each.name in names])
-    axes = joined.joined[0].axes_map
-    last, comparison = (earlier[-1] if earlier else None), None
-    today, since_first = Verdict(FIRST, _first_words(history, moves)), None
-    if last is not None and pairs_of(signals, last.signals):
-        comparison = compare(pairs_of(signals, last.signals), fitted(signatures, last.signals_of(names)))
-        today = verdict(comparison, _day(last.date), last.axes_map, axes)
-        since_first = _since_first(signals, earlier, signatures, axes) if today.finding == SAME else None
-    sizes = [_size(each, signatures, last) for each in signals]
-    total = _total(sizes, signals)
+    experiments = {each.name: each for each in plan.experiments}
+    today, compared = Verdict(FIRST, _first_words(history, moves)), None
+    last = next((each for each in earlier[-1:] if pairs_of(signals, each)), None)
+    if last is not None:
+        compared = _compared(signals, last, machine, experiments)
+        today = verdict(compared, last, axes)
+    since_first = None
+    if today.finding == SAME and len(earlier) > 1 and pairs_of(signals, earlier[0]):  # what creeps never differs
+        since = verdict(_compared(signals, earlier[0], machine, experiments), earlier[0], axes)
+        since_first = since if since.finding != SAME else None
+    sizes = _sizes(signals, last, machine, experiments)
+    weights = np.array([each.size**2 for each in signals]) / sum(each.size**2 for each in signals)
+    gap, noise = (
+        float(np.sqrt(weights @ np.square(each))) for each in ([s.gap for s in sizes], [s.noise for s in sizes])
+    )
     check = Check(
         date=date,
         plan=moves,
         machine_sha256=machine.sha256,
         axes_map=axes,
         finding=today.finding,
-        message=today.message,
-        gap=total.gap,
-        difference=None if comparison is None else comparison.size,
-        noise=total.noise,
+        said=today.message,
+        gap=gap,
+        difference=None if compared is None else compared.size,
+        noise=noise,
         signals=tuple(signals),
     )
-    date_then, first = (last.date if comparison and last else None), (earlier[0].date if earlier else None)
-    return CheckResult(
-        check=check,
-        verdict=today,
-        experiments=tuple(sizes),
-        compared=comparison,
-        compared_with=date_then,
-        since_first=since_first,
-        first_date=first,
-        known=bool(known),
-        notes=tuple(_notes(known, plan, names, last, machine)),
-    )
+    missing = [name for name in experiments if all(each.name != name for each in signals)]
+    notes = []
+    if known:
+        notes.append(f"These captures are in the history already, of {_day(known[0].date)}; it was not changed.")
+    if missing:
+        notes.append(f"Left out, because no capture of it could be used: {', '.join(missing)}.")
+    if earlier and earlier[-1].machine_sha256 != machine.sha256:
+        notes.append("The machine file has changed since; the comparison is of motion with motion all the same.")
+    first = earlier[0] if earlier else None
+    return CheckResult(check, today, sizes, compared, last, since_first, first, bool(known), notes)
 
 
-def _day(date: str) -> str:
-    return date.replace("T", " ")
+def pairs_of(today: Sequence[SensorSignal], then: Check) -> list[tuple[SensorSignal, SensorSignal]]:
+    """Pair the experiments that both checks have."""
+    earlier = {each.name: each for each in then.signals}
+    return [(each, earlier[each.name]) for each in today if each.name in earlier]
+
+
+def _compared(
+    today: Sequence[SensorSignal], then: Check, machine: Machine, experiments: Mapping[str, Experiment]
+) -> Difference:
+    pairs = pairs_of(today, then)
+    shared = [experiments[each.name] for each, _ in pairs]
+    return compare(earlier_machine(machine, shared, [each for _, each in pairs]), shared, pairs)
 
 
 def _first_words(history: Sequence[Check], moves: str) -> str:
@@ -388,41 +258,12 @@ def _first_words(history: Sequence[Check], moves: str) -> str:
     return "First check: there is nothing to compare with yet."
 
 
-def _since_first(
-    signals: Sequence[SensorSignal], earlier: Sequence[Check], signatures: Signatures, axes: str
-) -> Verdict | None:
-    """Compare with the first check: what creeps never differs from the last one."""
-    first = earlier[0]
-    pairs = pairs_of(signals, first.signals)
-    if len(earlier) < 2 or not pairs:
-        return None
-    names = {each.name for each in signals}
-    since = verdict(compare(pairs, fitted(signatures, first.signals_of(names))), _day(first.date), first.axes_map, axes)
-    return since if since.finding != SAME else None
-
-
-def _size(signal: SensorSignal, signatures: Signatures, last: Check | None) -> Size:
-    noise = float(np.sqrt(np.mean(signal.noise**2))) / signal.size
-    then = [each for each in last.signals if each.name == signal.name] if last else []
-    difference = share_apart(signal, then[0].acceleration) if then else None
-    return Size(signal.name, share_apart(signal, signatures.expected[signal.name]), noise, difference)
-
-
-def _total(sizes: Sequence[Size], signals: Sequence[SensorSignal]) -> Size:
-    weights = np.array([each.size**2 for each in signals]) / sum(each.size**2 for each in signals)
-    gap, noise = (
-        float(np.sqrt(weights @ np.array([getattr(each, key) for each in sizes]) ** 2)) for key in ("gap", "noise")
-    )
-    return Size("all", gap, noise, None)
-
-
-def _notes(known: Sequence[Check], plan: Plan, names: set[str], last: Check | None, machine: Machine) -> list[str]:
-    notes = []
-    if known:
-        notes.append(f"These captures are in the history already, of {_day(known[0].date)}; it was not changed.")
-    missing = [each.name for each in plan.experiments if each.name not in names]
-    if missing:
-        notes.append(f"Left out, because no capture of it could be used: {', '.join(missing)}.")
-    if last is not None and last.machine_sha256 != machine.sha256:
-        notes.append("The machine file has changed since; the comparison is of motion with motion all the same.")
-    return notes
+def _sizes(
+    signals: Sequence[SensorSignal], last: Check | None, machine: Machine, experiments: Mapping[str, Experiment]
+) -> list[Size]:
+    then = {each.name: share_apart(each, old.acceleration) for each, old in (pairs_of(signals, last) if last else [])}
+    expected = expected_signals([machine], [experiments[each.name] for each in signals])
+    return [
+        Size(s.name, share_apart(s, felt[0]), float(np.sqrt(np.mean(s.noise**2))) / s.size, then.get(s.name))
+        for s, felt in zip(signals, expected, strict=True)
+    ]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,15 +33,11 @@ class Check:
     machine_sha256: str
     axes_map: str
     finding: str
-    message: str
+    said: str
     gap: float  # to the machine file, as a share of the signal
     difference: float | None  # to the check before; None: there was none
     noise: float
     signals: tuple[SensorSignal, ...] = ()  # empty: no longer kept
-
-    def signals_of(self, names: Container[str]) -> list[SensorSignal]:
-        """Return the experiments of these names."""
-        return [each for each in self.signals if each.name in names]
 
     def is_same_recording(self, signals: Sequence[SensorSignal]) -> bool:
         """Tell whether these are the very captures of this check."""
@@ -95,22 +91,19 @@ def write_history(path: Path, checks: Sequence[Check]) -> None:
 
 
 def _entry(check: Check, with_motion: bool) -> dict[str, Any]:
-    values = {key: getattr(check, _FIELDS.get(key, key)) for key in _KEYS}
-    return {"schema": SCHEMA, **values, "experiments": [_signal_entry(e) for e in check.signals] if with_motion else []}
-
-
-_KEYS = ("date", "plan", "machine_sha256", "axes_map", "finding", "said", "gap", "difference", "noise")
-_FIELDS = {"said": "message"}  # where the field is not called as its key
-
-
-def _signal_entry(signals: SensorSignal) -> dict[str, Any]:
-    return {
-        "name": signals.name,
-        "noise_m_per_s2": np.round(signals.noise, 5).tolist(),
-        "clock_sd_s": round(signals.clock_sd_s, 7),
-        "repeats": signals.repeats,
-        "acceleration_mm_per_s2": _whole(signals).T.tolist(),
-    }
+    values = {each.name: getattr(check, each.name) for each in fields(Check)[:-1]}
+    kept = check.signals if with_motion else ()
+    signals = [
+        {
+            "name": each.name,
+            "noise_m_per_s2": np.round(each.noise, 5).tolist(),
+            "clock_sd_s": round(each.clock_sd_s, 7),
+            "repeats": each.repeats,
+            "acceleration_mm_per_s2": _whole(each).T.tolist(),
+        }
+        for each in kept
+    ]
+    return {"schema": SCHEMA, **values, "experiments": signals}
 
 
 def _whole(signals: SensorSignal) -> Any:
@@ -120,10 +113,8 @@ def _whole(signals: SensorSignal) -> Any:
 def _check(read: dict[str, Any]) -> Check:
     if read["schema"] != SCHEMA:
         raise ValueError(f"its schema is {read['schema']!r}")
-    difference = None if read["difference"] is None else float(read["difference"])
-    texts = {_FIELDS.get(key, key): str(read[key]) for key in _KEYS[:6]}
-    signals = tuple(map(_signal, read["experiments"]))
-    return Check(**texts, gap=float(read["gap"]), difference=difference, noise=float(read["noise"]), signals=signals)
+    values = {each.name: read[each.name] for each in fields(Check)[:-1]}
+    return Check(**values, signals=tuple(map(_signal, read["experiments"])))
 
 
 def _signal(read: dict[str, Any]) -> SensorSignal:

@@ -1,12 +1,12 @@
-"""The sensor's signals in a check's experiments, the mean of their repeats with its noise, and what differs.
+"""The sensor's signals in a check's experiments: the mean of their repeats with its noise.
 
 Motion is compared with motion. So all checks of one plan have their rows at the same times of the experiment, between
-2 and 150 Hz, and what a repeat is late by is taken out before the mean.
+2 and 150 Hz, and each repeat is moved by its lag before the mean is taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ DEPENDENT = RATE_HZ / (2.0 * (BAND_HZ[1] - BAND_HZ[0]))  # rows for one that is 
 BEFORE_S = 0.15  # kept of the rest before the motion
 REST_S = 0.05  # before the motion: no filter rings earlier
 LEAST_NOISE_M_PER_S2 = 0.01  # of chips that round
+FROM_DAY_TO_DAY = 0.01  # of the signal: no printer repeats better after homing
 SURE_CLOCK_S = 5e-5
 
 
@@ -44,9 +45,24 @@ class SensorSignal:
         """Root mean square, m/s², of all axes together."""
         return float(np.sqrt(np.mean(self.acceleration**2)))
 
-    def replaced(self, acceleration: FloatArray) -> SensorSignal:
-        """Return the same experiment with another motion and no noise, as a simulation has it."""
-        return replace(self, acceleration=acceleration, noise=np.zeros(3))
+    @property
+    def silent(self) -> SensorSignal:
+        """The same without noise."""
+        return replace(self, noise=np.zeros(3))
+
+    def less(self, then: SensorSignal, plus: FloatArray) -> SensorSignal:
+        """Return what differs from an earlier signal, added to (n, 3) m/s², with the noise of the difference."""
+        noise = np.sqrt(self.noise**2 + then.noise**2 + (FROM_DAY_TO_DAY * self.size) ** 2)
+        clock = float(np.hypot(self.clock_sd_s, then.clock_sd_s))
+        return replace(self, acceleration=plus + self.acceleration - then.acceleration, noise=noise, clock_sd_s=clock)
+
+
+def share_apart(felt: SensorSignal, other: FloatArray) -> float:
+    """Return what differs from (n, 3) m/s² without a delay, as a share of the signal."""
+    slope = np.gradient(felt.acceleration, 1.0 / RATE_HZ, axis=0)
+    apart = felt.acceleration - other
+    apart = apart - slope * (np.sum(slope * apart) / max(float(np.sum(slope**2)), 1e-300))
+    return float(np.sqrt(np.mean(apart**2))) / felt.size
 
 
 def rows_of(duration_s: float) -> FloatArray:
@@ -96,77 +112,3 @@ def _filtered(each: Joined) -> tuple[FloatArray, FloatArray]:
     rows = np.column_stack([recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
     whole = without_gaps(recording.time_s, rows)
     return each.begin_s + recording.time_s, in_band(whole, recording.sample_rate_hz)
-
-
-FROM_DAY_TO_DAY = 0.01  # of the signal: no printer repeats better after homing
-
-ByExperiment = Mapping[str, FloatArray]
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Columns fitted to a difference."""
-
-    values: FloatArray  # (k,)
-    sd: FloatArray  # (k,)
-    left: float  # sum of squares
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """Differences (N + e,), each by its noise, with the priors of the delays below; independent rows count once."""
-
-    difference: FloatArray
-    delays: FloatArray  # (N + e, e)
-    sigma: Mapping[str, FloatArray]  # (3,) m/s² by experiment
-
-    @property
-    def rows(self) -> float:
-        """Count the independent rows."""
-        return (len(self.difference) - len(self.sigma)) / DEPENDENT
-
-    def column(self, of: ByExperiment) -> FloatArray:
-        """Return a signature (N + e,) in the same weights."""
-        parts = [(of[name] / sigma).ravel() for name, sigma in self.sigma.items()]
-        return np.concatenate([*parts, np.zeros(len(self.sigma))]) / np.sqrt(DEPENDENT)
-
-    def fit(
-        self, columns: Sequence[FloatArray], usual: Sequence[float] = (), without: FloatArray | None = None
-    ) -> Solution:
-        """Fit columns (N + e,) each.
-
-        Parameters
-        ----------
-        usual : standard deviations of their priors around zero; none: no priors
-        without : (N + e,) is taken from the difference before
-        """
-        k, wanted = len(columns), self.difference if without is None else self.difference - without
-        matrix = np.column_stack([*columns, self.delays])
-        if usual:
-            below = np.hstack([np.diag(1.0 / np.asarray(usual)), np.zeros((k, self.delays.shape[1]))])
-            matrix, wanted = np.vstack([matrix, below]), np.concatenate([wanted, np.zeros(k)])
-        normal = matrix.T @ matrix
-        covariance = np.linalg.pinv(normal, hermitian=True)
-        values = np.asarray(np.linalg.lstsq(matrix, wanted, rcond=None)[0], dtype=np.float64)
-        left = float(np.sum((wanted - matrix @ values) ** 2))
-        return Solution(values[:k], np.asarray(np.sqrt(np.diag(covariance)[:k]), dtype=np.float64), left)
-
-
-def weighed(pairs: Sequence[tuple[SensorSignal, SensorSignal]]) -> Weighed:
-    """Weigh what differs between today and then, in pairs of one experiment."""
-    sigma: dict[str, FloatArray] = {}
-    differences, slopes, priors = [], [], []
-    for today, then in pairs:
-        floor = FROM_DAY_TO_DAY * today.size
-        weights = sigma[today.name] = np.sqrt(today.noise**2 + then.noise**2 + floor**2)
-        differences.append(((today.acceleration - then.acceleration) / weights).ravel())
-        slopes.append((np.gradient(then.acceleration, 1.0 / RATE_HZ, axis=0) / weights).ravel())
-        priors.append(float(np.hypot(today.clock_sd_s, then.clock_sd_s)))
-    count, total = len(pairs), sum(map(len, differences))
-    delays, first = np.zeros((total + count, count)), 0
-    for k, slope in enumerate(slopes):
-        delays[first : first + len(slope), k] = slope / np.sqrt(DEPENDENT)
-        delays[total + k, k] = 1.0 / priors[k]
-        first += len(slope)
-    difference = np.concatenate([*differences, np.zeros(count)]) / np.sqrt(DEPENDENT)
-    return Weighed(difference, delays, sigma)
