@@ -34,7 +34,7 @@ from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import REACH_SD, Parameter, stem_of
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.errors import MeasurementError, NothingToDo, RequestError
-from ffcomp.identification.machine_fit import estimates, hash_of, number_facts
+from ffcomp.identification.machine_fit import hash_of, number_facts
 from ffcomp.identification.page_fit import SCALE
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.identification.uncertainty import Estimate, normal
@@ -126,7 +126,7 @@ class Updated(Result):
     def details(self) -> dict[str, Any]:
         """Return the keys of ffcomp-update/1, which are a line of the history too."""
         assert self.output is not None
-        (chi_squared, degrees, probability), before = self.innovation, estimates(self.before)
+        (chi_squared, degrees, probability), before = self.innovation, to_json(self.before)
         return {
             "schema": SCHEMA,
             "date": self.date,
@@ -137,7 +137,7 @@ class Updated(Result):
             "drift": self.drift,
             "numbers": {
                 key: {"before": before[key], "after": each, "given_others": self.beside[key]}
-                for key, each in estimates(self.after).items()
+                for key, each in to_json(self.after).items()
             },
             "kept": list(self.kept),
             "innovation": {"chi_squared": chi_squared, "degrees_of_freedom": degrees, "probability": probability},

@@ -12,7 +12,7 @@ import numpy as np
 
 from ffcomp.errors import RequestError
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
-from ffcomp.identification.machine_fit import MachineFit, estimates, hash_of, number_facts
+from ffcomp.identification.machine_fit import MachineFit, hash_of, number_facts
 from ffcomp.identification.uncertainty import Estimate, Joint
 from ffcomp.inference.fit import Settings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
@@ -71,9 +71,9 @@ class OneAxisFit(MachineFit):
     def own(self) -> dict[str, Any]:
         """The keys of the method in the JSON object."""
         return {
-            "numbers": estimates(self.result.estimates),
+            "numbers": self.result.estimates,
             "nrms": {"before": self.result.before, "after": self.result.after},
-            "kept": list(self.kept),
+            "kept": self.kept,
         }
 
 

@@ -142,21 +142,6 @@ class _Problem(EstimationProblem):
             each = [np.log(self.model(n, theta)) for n in range(len(self.tests))]
             yield np.concatenate([*each, np.log(self.stiffness(theta)[-1:])])
 
-    def slopes(self, values: FloatArray) -> FloatArray:
-        """Differentiate by the shared unknowns numerically, by each test's own in closed form."""
-        count = self.shared
-
-        def of_shared(shared: FloatArray) -> FloatArray:
-            return next(self.simulate([np.concatenate([shared, values[count:]])]))
-
-        left = central_differences(of_shared, values[:count], np.full(count, STEP))
-        right = np.zeros((len(left), len(values) - count))
-        for n, end in enumerate(self.ends[:-1]):
-            rows = slice(end - len(self.observations[n].measured), end)
-            floor = np.exp(values[count + 2 * n + 1]) / self.model(n, values)
-            right[rows, 2 * n], right[rows, 2 * n + 1] = 1 - floor, floor
-        return np.hstack([left, right])
-
 
 def _problem(machine: Machine, tests: Sequence[BeltTest]) -> _Problem:
     deltas = machine.vibration.position_dependent

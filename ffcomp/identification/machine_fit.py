@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -21,6 +21,7 @@ from ffcomp.identification.page_fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.measurement.modes import ModeFit
+from ffcomp.numerics.serialise import to_json
 from ffcomp.result import Fact, Result
 from ffcomp.shapers.calibration import ShaperAdvice, in_words
 from gcode.atomic_write import replace_atomically
@@ -78,18 +79,19 @@ class MachineFit(Result):
 
     def details(self) -> dict[str, Any]:
         """Return the keys of the JSON object `schema`."""
-        return {
+        keys = {
             "schema": self.schema,
             "started_from": {"name": self.start.name, "sha256": self.start.sha256},
-            "data": list(self.data),
-            "skipped": list(self.skipped),
+            "data": self.data,
+            "skipped": self.skipped,
             **({} if self.belts is None else {"belts": _belts(self.belts)}),
             "method": self.method,
             **self.own,
-            "advice": list(self.advice),
-            **({"shapers": [asdict(each) for each in self.shapers]} if self.shapers else {}),
-            "output": None if self.output is None else str(self.output),
+            "advice": self.advice,
+            **({"shapers": self.shapers} if self.shapers else {}),
+            "output": self.output,
         }
+        return {key: to_json(value) for key, value in keys.items()}
 
     def write(self, path: Path) -> Self:
         """Write the machine file, whole or not at all, and return the result with its path.
@@ -147,12 +149,12 @@ class ParametersFit(MachineFit):
         """The keys of the method in the JSON object."""
         fitted = self.result.fitted
         return {
-            "numbers": estimates(fitted.estimates),
-            "delays_s": estimates(fitted.delays_s),
-            "rotation_deg": estimates(fitted.rotation_deg),
-            "common_scale": {"sd": fitted.common_scale_sd, "numbers": estimates(self.beside_scale)},
-            "kept": list(self.result.kept),
-            "weak": {key: dict(others) for key, others in fitted.weak.items()},
+            "numbers": fitted.estimates,
+            "delays_s": fitted.delays_s,
+            "rotation_deg": fitted.rotation_deg,
+            "common_scale": {"sd": fitted.common_scale_sd, "numbers": self.beside_scale},
+            "kept": self.result.kept,
+            "weak": fitted.weak,
             "misfit": fitted.misfit,
             "model_error": fitted.model_error,
             "responses": _quality(self.result),
@@ -195,7 +197,7 @@ class StepwiseFit(MachineFit):
             {
                 "step": step.title,
                 "chi_squared_per_degree_of_freedom": step.consistency,
-                "numbers": estimates(step.joint.estimates()),
+                "numbers": step.joint.estimates(),
             }
             for step in self.result.steps
         ]
@@ -231,7 +233,7 @@ class AxesFit(MachineFit):
         exchange = self.result.exchange
         return {
             "axes": {axis.name: _axis(axis) for axis in self.result.axes},
-            "exchange": None if exchange is None else asdict(exchange.delta),
+            "exchange": None if exchange is None else exchange.delta,
         }
 
 
@@ -303,7 +305,7 @@ class ResonancesFit(MachineFit):
             }
             for fit in self.spectra
         ]
-        return {"spectra": spectra, **({} if self.started is None else {"numbers": estimates(self.started.estimates)})}
+        return {"spectra": spectra, **({} if self.started is None else {"numbers": self.started.estimates})}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -344,23 +346,18 @@ class ScanFit(MachineFit):
         """The keys of the method in the JSON object."""
         fit = self.result
         places = [
-            {"position_mm": place, "modes": [{"frequency_hz": asdict(f), "damping_ratio": asdict(d)} for f, d in modes]}
+            {"position_mm": place, "modes": [{"frequency_hz": f, "damping_ratio": d} for f, d in modes]}
             for place, modes in fit.modes.items()
         ]
         return {
-            "numbers": estimates(fit.estimates),
-            "kept": list(fit.kept),
+            "numbers": fit.estimates,
+            "kept": fit.kept,
             "places": places,
-            "bead": estimates(fit.bead),
+            "bead": fit.bead,
             "explained": fit.explained,
             "lines": len(fit.lines),
             "noise_um": self.noise_um,
         }
-
-
-def estimates(by_name: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
-    """Return value, sd, low and high of each."""
-    return {name: {key: float(x) for key, x in asdict(each).items()} for name, each in by_name.items()}
 
 
 def number_facts(numbers: Mapping[str, Estimate], kept: Collection[str] = ()) -> list[Fact]:
@@ -409,16 +406,16 @@ def _belts(belts: BeltComparison) -> dict[str, Any]:
     return {
         "kind": belts.kind,
         "sentence": belts.sentence,
-        "relative_stiffness": estimates(dict(zip(belts.names, belts.stiffness, strict=True))),
-        "modes_hz": [asdict(e) for e in belts.modes_hz],
-        "damping_ratio": list(belts.damping_ratio),
+        "relative_stiffness": dict(zip(belts.names, belts.stiffness, strict=True)),
+        "modes_hz": belts.modes_hz,
+        "damping_ratio": belts.damping_ratio,
         "tests": [{"file": t.spectrum.source, "axis": t.axis, "model_error": e} for t, e in tests],
     }
 
 
 def _axis(axis: AxisFit) -> dict[str, Any]:
     return {
-        "modes": [asdict(mode) for mode in axis.modes],
+        "modes": axis.modes,
         "verdict": axis.verdict,
         "data": [
             {"source": Path(datum.source).name, "lines": len(datum.frequency_hz), "model_error": error}
@@ -441,9 +438,9 @@ def _quality(result: Identified) -> list[dict[str, Any]]:
                 "output": r.output,
                 "position_mm": r.position_mm,
                 "points": len(r.frequency_hz),
-                "relative_error": float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / size)),
-                "relative_noise": float(np.sqrt(np.sum(r.variance) / size)),
-                "model_error": float(share),
+                "relative_error": np.sqrt(np.sum(np.abs(r.value - h) ** 2) / size),
+                "relative_noise": np.sqrt(np.sum(r.variance) / size),
+                "model_error": share,
             }
         )
     return rows
@@ -481,21 +478,30 @@ class Origin:
             provenance={**provenance, "identified": table},
         )
 
+    def note(self, estimates: Sequence[Estimate], verb: str) -> str:
+        """Say where the value of a key, or its list, is from."""
+        intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
+        return f"identified {self.date} by ffcomp identify {verb}; 90 % interval {intervals}"
+
     def text_of(
-        self, parameters: Mapping[str, Estimate], verb: str, effects: Mapping[str, Any] | None = None, **identified: Any
+        self,
+        parameters: Mapping[str, Estimate | Sequence[Estimate]],
+        verb: str,
+        others: Mapping[str, Any] | None = None,
+        provenance: Mapping[str, str] | None = None,
+        **identified: Any,
     ) -> str:
-        """Write the text with parameters that the verb has identified, and with numbers of effects."""
-        values = {key: _rounded(e) for key, e in parameters.items()}
-        provenance: dict[str, Any] = {}
-        uncertainty: dict[str, float] = {}
-        for key, estimate in parameters.items():
-            table_key = key.partition("[")[0]
-            spread = min(estimate.relative_sd, 10.0)
-            uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
-            alike = [e for other, e in parameters.items() if other.partition("[")[0] == table_key]
-            intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in alike)
-            provenance[table_key] = f"identified {self.date} by ffcomp identify {verb}; 90 % interval {intervals}"
-        return self.text(values | dict(effects or {}), uncertainty, provenance, **identified)
+        """Write the text with parameters that the verb has identified, lists or one by one, and with other values."""
+        by_key: dict[str, list[Estimate]] = {}
+        values = dict[str, Any]()
+        for key, found in parameters.items():
+            values[key] = _rounded(found) if isinstance(found, Estimate) else [_rounded(each) for each in found]
+            by_key.setdefault(key.partition("[")[0], []).extend([found] if isinstance(found, Estimate) else found)
+        spreads = {key: max(min(e.relative_sd, 10.0) for e in each) for key, each in by_key.items()}
+        least = {key: SMALLEST_SD if key.startswith("axes.") else 0.0 for key in by_key}
+        uncertainty = {key: float(f"{max(least[key], spread):.2g}") for key, spread in spreads.items()}
+        notes = {key: self.note(each, verb) for key, each in by_key.items()}
+        return self.text(values | dict(others or {}), uncertainty, notes | dict(provenance or {}), **identified)
 
 
 def machine_file_text(origin: Origin, result: Identified) -> str:
@@ -546,38 +552,24 @@ def paper_file_text(origin: Origin, result: PaperIdentification) -> str:
 
 def modes_file_text(origin: Origin, started: ResonanceStart) -> str:
     """Write the file of a resonance start."""
-    by = f"scaled {origin.date} by ffcomp identify fit until the resonances are the measured ones"
-    return origin.text(
-        {key: _rounded(e) for key, e in started.estimates.items()},
-        {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()},
-        dict.fromkeys(started.estimates, by),
-        resonances_hz=[float(f"{f:.4g}") for f in started.predicted_hz],
-    )
+    return origin.text_of(started.estimates, "fit", resonances_hz=[float(f"{f:.4g}") for f in started.predicted_hz])
 
 
 def axes_file_text(origin: Origin, result: IdentifiedAxes) -> str:
     """Write the file of a machine of modal axes: `[axes.x]` and its like, of the axes that were measured."""
-    by = f"identified {origin.date} by ffcomp identify fit"
-    values: dict[str, Any] = {}
-    uncertainty: dict[str, float] = {}
-    provenance: dict[str, Any] = {}
+    parameters: dict[str, Estimate | Sequence[Estimate]] = {}
+    others: dict[str, Any] = {f"axes.{axis.name}.share": _shares(axis) for axis in result.axes}
     for axis in result.axes:
-        for key in ("frequency_hz", "damping_ratio", "share"):
-            estimates = [getattr(mode, key) for mode in axis.modes]
-            intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
-            values[f"axes.{axis.name}.{key}"] = [_rounded(e) for e in estimates]
-            provenance[f"axes.{axis.name}.{key}"] = f"{by}; 90 % interval {intervals}"
-            spread = max(SMALLEST_SD, *(min(e.relative_sd, 10.0) for e in estimates))
-            uncertainty[f"axes.{axis.name}.{key}"] = float(f"{spread:.2g}")
-        del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
-        values[f"axes.{axis.name}.share"] = _shares(axis)
-        provenance[f"axes.{axis.name}"] = axis.verdict
+        parameters[f"axes.{axis.name}.frequency_hz"] = [mode.frequency_hz for mode in axis.modes]
+        parameters[f"axes.{axis.name}.damping_ratio"] = [mode.damping_ratio for mode in axis.modes]
+    notes = {f"axes.{axis.name}": axis.verdict for axis in result.axes}
+    notes |= {f"axes.{a.name}.share": origin.note([mode.share for mode in a.modes], "fit") for a in result.axes}
     if result.exchange is not None:
         delta = result.exchange.delta
-        values["axes.exchange"] = round(delta.value, 4)
-        provenance["axes.exchange"] = f"{by}; 90 % interval {delta.low:.4g} to {delta.high:.4g}"
+        others["axes.exchange"] = round(delta.value, 4)
+        notes["axes.exchange"] = origin.note([delta], "fit")
     model_errors = {axis.name: float(f"{max(axis.errors):.3g}") for axis in result.axes}
-    return origin.text(values, uncertainty, provenance, model_error_share=model_errors)
+    return origin.text_of(parameters, "fit", others, notes, model_error_share=model_errors)
 
 
 def _shares(axis: AxisFit) -> list[float]:

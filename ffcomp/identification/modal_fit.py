@@ -14,8 +14,7 @@ accepted only where the Bayesian information criterion is better, with correlate
 where its frequency and its share are sharp.
 
 How much of the damping belts hold is not fitted. A share s multiplies each mode by 1 + 2i ζ_j s f/f_j, to first order a
-delay, which each response has of its own; the rest is about (2 ζ f/f_j)² s. `belts_share_error` says how sharp s
-could be.
+delay, which each response has of its own; the rest is about (2 ζ f/f_j)² s.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE, Datum, Response, Spectrum
-from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, lognormal, normal
+from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.inference.fit import FitResult, Settings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
-from ffcomp.measurement.modal import independent_share, single_modes
+from ffcomp.measurement.modal import independent_share
 from models.arrays import ComplexArray, FloatArray
 
 START_DAMPING = 0.06
@@ -170,7 +169,7 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     fitted = tuple(datum.model(_modes(accepted), nuisances) for datum, nuisances in own)
     errors = tuple(accepted.errors.tolist())
     doubt = accepted.doubt(f"the modes of {name}")
-    advice = (*doubt, *disagreement, *_weak(name, modes, errors), *remarks, *_about_belts(name, accepted))
+    advice = (*doubt, *disagreement, *_weak(name, modes, errors), *remarks, *_about_belts(name, data))
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
 
 
@@ -338,36 +337,11 @@ def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list
     return advice
 
 
-def _about_belts(name: str, found: _Fit) -> list[str]:
-    """Say that the belts' share of the damping stays open, where responses could have shown it."""
-    if not any(isinstance(datum, Response) for datum in found.problem.data):
+def _about_belts(name: str, data: Sequence[Datum]) -> list[str]:
+    """Say that the belts' share of the damping stays open, where there are responses with a phase."""
+    if not any(isinstance(datum, Response) for datum in data):
         return []
-    half = NINETY_PERCENT * belts_share_error(found)
-    known = (
-        "is not determined by these responses: of 0 to 1 they leave all open"
-        if half >= 0.5
-        else f"is not fitted: these responses would show it to ±{half:.2f} if two modes were all there is"
-    )
     return [
-        f"How much of the damping of {name} its belts hold (belt_damping_share) {known}, for below the resonance it "
-        "looks like a delay. ffcomp diagnose finds it in runs with their commands, as the effect belt_damping."
+        f"How much of the damping of {name} its belts hold (belt_damping_share) is not fitted, for below the resonance "
+        "it looks like a delay. ffcomp diagnose finds it in runs with their commands, as the effect belt_damping."
     ]
-
-
-def belts_share_error(found: _Fit) -> float:
-    """Return the standard deviation of the belts' share about one half, everything else fitted too (Fisher)."""
-    modes, columns, weights = _modes(found), [], []
-    own = zip(found.problem.data, found.problem.nuisances(found.values), _independent(found).tolist(), strict=True)
-    for datum, nuisances, independent in own:
-        slope = np.zeros(len(datum.observed.measured))  # of a spectrum: it has no phase
-        if isinstance(datum, Response):
-            turned = 2j * modes[:1, 1:2] * datum.frequency_hz / modes[:1, :1]  # as its springs, belts drive all modes
-            each = modes[:, 2:] * single_modes(modes[:, 0], modes[:, 1], datum.frequency_hz)
-            by_share = (each * turned).sum(axis=0) / (each * (1 + turned / 2)).sum(axis=0)
-            column = datum.model(modes, nuisances) * by_share
-            slope = np.concatenate([column.real, column.imag])
-        columns.append(slope)
-        weights.append(np.full(len(slope), independent))
-    slope, weight = np.concatenate(columns) / found.sd, np.concatenate(weights)
-    left = slope - found.jacobian @ (found.covariance @ (found.jacobian.T @ (weight * slope)))
-    return float(1 / np.sqrt(max(float(slope @ (weight * left)), 1e-300)))
