@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import out_of_reach, rejections, unproven
+from ffcomp.diagnosis.acceptance import rejections, unproven
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
     LARGE,
@@ -402,7 +402,7 @@ def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypoth
 
     In loud data they move to make up for an effect's shape, which is never exactly ours, without being needed.
     """
-    if not out_of_reach(best):
+    if best.plausible:
         return best
     held = fit_within_uncertainty(none.estimation, best, progress)
     share = none.estimation.settings.reshaped_share

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
-from ffcomp.diagnosis.problem import SIMPLER, Candidate, Parameter
+from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.numerics.stages import Now, Progress
@@ -31,6 +31,11 @@ class Hypothesis:
     def names(self) -> tuple[str, ...]:
         """Names of the effects, sorted."""
         return tuple(sorted(c.name for c in self.effects))
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """What the effects are of, sorted: laws of one cause are one family."""
+        return tuple(sorted(CATALOGUE[c.name].cause for c in self.effects))
 
     @property
     def discrepancy(self) -> float:
@@ -94,10 +99,9 @@ def held(machine: Sequence[Parameter], effects: Sequence[Candidate]) -> tuple[Pa
     return tuple(replace(n, low=n.start, high=n.start) if n.name in replaced else n for n in machine)
 
 
-def may_join(name: str, names: Sequence[str]) -> bool:
-    """Tell whether an effect is none of these, nor a law of the same thing: friction has one, however it is bent."""
-    cause = CATALOGUE[name].cause
-    return not any(cause == CATALOGUE[each].cause or name in (each, SIMPLER.get(each)) for each in names)
+def may_join(name: str, h: Hypothesis) -> bool:
+    """Tell whether an effect is of none of these causes: friction has one law, however it is bent."""
+    return CATALOGUE[name].cause not in h.causes
 
 
 # ---- evidence ------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
 from models.quantities import PLAIN, Quantities
 
-SIMPLER = {name: effect.contains for name, effect in CATALOGUE.items() if effect.contains}  # law that a law contains
 REACH_SD = 5.0  # standard deviations: the range for retuning the file's numbers
 TOWERS = ("tower A", "tower B", "tower C")
 
@@ -39,10 +38,10 @@ def stem_of(name: str) -> str:
 
 
 def number_of(name: str) -> str:
-    """Return an effect's parameter without its law: a richer law has the numbers of the simpler one."""
+    """Return an effect's parameter without its law: laws of one cause share the numbers of one name."""
     first, _, rest = name.partition(".")
     law, _, own = rest.partition(".")
-    return f"{SIMPLER.get(law, law)}.{own}" if first == "effects" else name
+    return f"{CATALOGUE[law].cause}.{own}" if first == "effects" else name
 
 
 def carried_over(values: Mapping[str, float], name: str) -> float | None:

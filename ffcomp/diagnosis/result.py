@@ -265,11 +265,11 @@ def _off(fitted: Fit) -> dict[str, tuple[float, float]]:
 
 
 def _confidence(diagnosis: Diagnosis, effect: str) -> float:
-    """Compute the probability against the best hypothesis without the effect, both equally likely beforehand."""
+    """Compute the probability against the best hypothesis without its cause, both equally likely beforehand."""
     if diagnosis.best is None:
         return 0.0
     fitted = diagnosis.best.fit
-    behind = [diagnosis.behind(h) for h in diagnosis.tried if effect not in h.names]
+    behind = [diagnosis.behind(h) for h in diagnosis.tried if CATALOGUE[effect].cause not in h.causes]
     nearest = min([*behind, fitted.ahead_of(diagnosis.base)])
     sure = float(1 / (1 + np.exp(-np.clip(nearest / 2, -50, 50))))
     # tested at one place, or wrong numbers of the file would explain as much: at most so sure

@@ -41,15 +41,16 @@ from ffcomp.diagnosis.hypotheses import (
     significant,
     worth,
 )
-from ffcomp.diagnosis.problem import SIMPLER, Candidate, Parameter, carried_over
+from ffcomp.diagnosis.problem import Candidate, Parameter, carried_over
 from ffcomp.diagnosis.score_test import Screened, Subset, loudest_motions, screen, subset_of
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.numerics.stages import Progress, Stage
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
 
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, -0.01, -0.03, -0.1, -0.3, -1.0)  # of a usual size, where fits may begin
 ESTIMATES = (1.0, 0.4, 0.15)  # of the linear estimate
-ADDED_SIZES = (0.1, 0.3, 1.0)  # of the usual size of what a richer form adds
+ADDED_SIZES = (0.1, 0.3, 1.0, -0.1, -0.3, -1.0)  # of the usual size of what a richer form adds
 SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
 
 
@@ -154,7 +155,7 @@ def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypo
     if not search.may_go_on:
         return []
     part = _loudest(search, h.fit, chosen)
-    others = [c for c in search.candidates if may_join(c.name, h.names)]
+    others = [c for c in search.candidates if may_join(c.name, h)]
     return _quick_fits(search, h, screen(part.estimation, part.fit, others), chosen)
 
 
@@ -303,7 +304,7 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
     share = search.settings.reshaped_share
     while incomplete(search, h) and search.may_go_on:
         best = h
-        for start in _forms(search, h, richer=True):
+        for start in _richer(search, h):
             fitted = continue_fit(search.estimation, start, search.progress, ", in another form", h.machine_jacobian)
             if significant(fitted.fit, best.fit, search.settings, share):
                 best = fitted
@@ -313,40 +314,42 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
     return h
 
 
-def _forms(search: Search, h: Hypothesis, *, richer: bool) -> list[Hypothesis]:
-    """Return the most promising starts with one effect in another form, with more numbers or with fewer.
+def _richer(search: Search, h: Hypothesis) -> list[Hypothesis]:
+    """Return the most promising starts with one effect in a form with more numbers.
 
     What a form adds begins where it helps most, with everything else retuned to first order; one that promises less
     than half of what it must bring is left out.
     """
     part, begun, settings = _loudest(search, h.fit), list[tuple[float, Hypothesis]](), search.settings
-    for effects in _other_forms(search, h, richer=richer):
+    for effects in _other_forms(search, h):
         start = _mapped(effects, h)
-        tries = _placed(start, h)
-        points = [values_at(start.fit.parameters, z) for z in tries]
-        costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
-        least = int(np.argmin(costs))
-        begun.append((costs[least], replace(start, fit=replace(start.fit, z=tries[least]))))
+        if start.effect_count > h.effect_count:
+            begun.append(_best_start(part, start, h))
     excess = max(part.fit.cost - len(part.fit.residual), 0.0)
-    enough = part.fit.cost - settings.reshaped_share * excess / 2 if richer else settings.near * part.fit.cost
+    enough = part.fit.cost - settings.reshaped_share * excess / 2
     return [start for cost, start in sorted(begun, key=lambda each: each[0])[: settings.forms] if cost < enough]
 
 
-def _other_forms(search: Search, h: Hypothesis, *, richer: bool) -> list[tuple[Candidate, ...]]:
-    """Return the effects with one of them in another form: with more numbers, or with fewer."""
-    by_name = {c.name: c for c in search.candidates}
+def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, Hypothesis]:
+    """Return where a fit in another form begins, and what is left of |r|² + φ|z|² there, retuned to first order."""
+    tries = _placed(start, h)
+    points = [values_at(start.fit.parameters, z) for z in tries]
+    costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
+    least = int(np.argmin(costs))
+    return costs[least], replace(start, fit=replace(start.fit, z=tries[least]))
+
+
+def _other_forms(search: Search, h: Hypothesis) -> list[tuple[Candidate, ...]]:
+    """Return the effects with one of them in another form, or by another law of its cause."""
     found: list[tuple[Candidate, ...]] = []
     for effect in h.effects:
-        laws = [effect.name, *(n for n, simpler in SIMPLER.items() if simpler == effect.name), SIMPLER.get(effect.name)]
-        firsts = [by_name[name] for name in laws if name in by_name]
+        laws = [c for c in search.candidates if CATALOGUE[c.name].cause == CATALOGUE[effect.name].cause]
         kinds = [
-            form for c in firsts for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
+            form for c in laws for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
         ]
         different = {frozenset(n.name for n in form.parameters): form for form in kinds}
-        for form in different.values():
-            more = len(form.parameters) - len(effect.parameters)
-            if (more > 0) is richer and more != 0:
-                found.append(tuple(form if c is effect else c for c in h.effects))
+        different.pop(frozenset(n.name for n in effect.parameters), None)
+        found += [tuple(form if c is effect else c for c in h.effects) for form in different.values()]
     return found
 
 
@@ -370,14 +373,21 @@ def _placed(start: Hypothesis, h: Hypothesis) -> list[FloatArray]:
     sizes = {n.name for c in start.effects for n in c.amplitudes}
     amplitudes = [i for i in new if start.fit.parameters[i].name in sizes]
     shapes = [i for i in new if i not in amplitudes]
-    steps = SHIFTS if len(shapes) < 3 else SHIFTS[::2]
+    every = 1 if len(shapes) < 3 else 2  # of many shapes together, fewer points
+    points = [_points(start, start.fit.parameters[i], every) for i in shapes]
     tries = []
-    for size, shift in product(ADDED_SIZES if amplitudes else (0.0,), product(steps, repeat=len(shapes))):
+    for size, shape in product(ADDED_SIZES if amplitudes else (0.0,), product(*points)):
         z = start.fit.z.copy()
         z[amplitudes] = size
-        z[shapes] += shift
+        z[shapes] = shape
         tries.append(clipped(start.fit.parameters, z))
     return _distinct(tries)
+
+
+def _points(h: Hypothesis, shape: Parameter, every: int) -> list[float]:
+    """Return the z of a new shape where a fit may begin: where a search for the effect does, or from the usual on."""
+    searched = {point[shape.name] for c in h.effects for point in c.grid if shape.name in point}
+    return [(x - shape.start) / shape.sd for x in sorted(searched)] or list(SHIFTS[::every])
 
 
 # ---- finish --------------------------------------------------------------------------------------
@@ -396,7 +406,8 @@ def finish(search: Search, selection: Selection) -> Selection:
         if search.may_go_on:
             best = _preferred(search, best, _finished(search, rival, selection.tried))
             search.estimation.trace.add("rival", rival.names, outcome=f"{' + '.join(best.names)} is preferred")
-    return replace(selection, best=_simplified(search, best))
+    best, others = _simplified(search, best)
+    return replace(selection, best=best, tried=(*selection.tried, *others))
 
 
 def _finished(search: Search, h: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
@@ -410,7 +421,7 @@ def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypot
     return [
         h
         for h in likeliest(selection.tried)
-        if h.names not in (best.names, here.names)
+        if h.causes not in (best.causes, here.causes)
         and len(h.effects) <= len(best.effects)
         and here.fit.ahead_of(h.fit) < 2 * search.settings.significant
     ]
@@ -443,20 +454,30 @@ def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis])
     return best
 
 
-def _simplified(search: Search, best: Hypothesis) -> Hypothesis:
-    """Go over to forms with fewer numbers where that loses nothing."""
+def _simplified(search: Search, best: Hypothesis) -> tuple[Hypothesis, list[Hypothesis]]:
+    """Go over to the form and law with the fewest numbers that loses nothing; return also all that were fitted."""
+    seen, fitted = {_numbers(best)}, list[Hypothesis]()
     while search.may_go_on:
-        for start in _forms(search, best, richer=False):
-            smaller = continue_fit(search.estimation, start, search.progress, ", in a simpler form")
-            if not comparable(smaller, best, 2.0, search.settings):
-                continue
-            smaller = fit_exactly(search.estimation, smaller, search.progress)
-            if not worth(search.estimation, best.fit, smaller.fit, search.settings.reshaped_share):
-                best = smaller
-                break
-        else:
+        starts = [_mapped(effects, best) for effects in _other_forms(search, best)]
+        new = [h for h in starts if h.effect_count <= best.effect_count and _numbers(h) not in seen]
+        if not new:
             break
-    return best
+        start = min(new, key=lambda h: h.effect_count)
+        seen.add(_numbers(start))
+        _, start = _best_start(_loudest(search, best.fit), start, best)
+        other = continue_fit(search.estimation, start, search.progress, ", in another form")
+        if comparable(other, best, 2.0, search.settings):
+            other = fit_exactly(search.estimation, other, search.progress)
+        fitted.append(other)
+        if not worth(search.estimation, best.fit, other.fit, search.settings.reshaped_share) and (
+            other.effect_count < best.effect_count or other.fit.ahead_of(best.fit) > 0.0
+        ):
+            best = other
+    return best, fitted
+
+
+def _numbers(h: Hypothesis) -> frozenset[str]:
+    return frozenset(n.name for n in h.effect_parameters)
 
 
 def on_all_data(search: Search, selection: Selection) -> Selection | None:

@@ -334,6 +334,7 @@ COGGING = Effect(
 
 COMMAND_DELAY = Effect(
     name="command_delay",
+    law_of="lateness",
     title="A delay between command and motor",
     kind="command",
     physics="Electronics, filters and step pulses take time, so the motor executes the command late.",

@@ -232,7 +232,6 @@ class Effect:
     needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer", "two sensors"] = ""
     family: str = ""  # the physical cause, whatever the law; printed before the name
     law_of: str = ""  # laws of one cause differ by little: they never combine and are no rivals of each other
-    contains: str = ""  # an effect that it includes
     corrects_file: bool = False  # it only corrects a number of the machine file
     axis_words: AxisWords | None = None  # None: its words suit any machine
     of_motors: bool = False  # its values belong to belts and motors, not to carriages or axes

@@ -194,7 +194,6 @@ STRIBECK_FRICTION = Effect(
         "fading": 1e3 / values["velocity_mm_per_s"],
         "fading_power": values["exponent"] / 2,
     },
-    contains="coulomb_friction",
     remedy="Clean and oil the rails{where}: they stick at rest; thinner oil or new bearings help.",
     axis_words=AxisWords(
         title="More dry friction at rest",

@@ -67,6 +67,7 @@ SENSOR_MISALIGNMENT = Effect(
 
 SENSOR_TIME_OFFSET = Effect(
     name="sensor_time_offset",
+    law_of="lateness",
     title="A constant time offset of the recording",
     kind="sensor",
     physics="Recorder and motion are started separately.",

@@ -47,6 +47,26 @@ def runs_of(machine: Machine, seed: int, **effects: Any) -> list[AxisRun]:
     return found
 
 
+LAWS = ("coulomb_friction", "stribeck_friction", "bristle_friction")
+
+
+@pytest.mark.parametrize(
+    ("law", "hidden"),
+    [
+        ("coulomb_friction", {"force_n": 8.0}),
+        ("stribeck_friction", {"force_n": 6.0, "extra_force_n": 5.0, "velocity_mm_per_s": 8.0}),
+        ("bristle_friction", {"force_n": 8.0, "presliding_mm": 0.3}),
+    ],
+)
+def test_laws_of_one_cause_are_told_apart_or_told_together(law: str, hidden: dict[str, float]) -> None:
+    """The confidence is that of dry friction, however near another law of it comes; a near one is told."""
+    answer = found(STAGE, *LAWS, "guide_damping", **{law: hidden})
+    assert answer.named is not None and answer.named.names == (law,)
+    said = result_of(answer.estimation.problem, answer)
+    assert said.confidence[law] > 0.99
+    assert {h.names[0] for h in answer.competing} <= {name for name, _ in said.confounded_with}
+
+
 def found(machine: Machine, *names: str, **effects: Any) -> Diagnosis:
     return diagnose(
         AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
