@@ -59,10 +59,10 @@ def with_replaced(machine: Machine, candidate: Candidate) -> Candidate:
     return replace(candidate, other=other, replaces=_replaced(machine, candidate))
 
 
-def _replaced(machine: Machine, candidate: Candidate) -> frozenset[str]:
+def _replaced(machine: Machine, candidate: Candidate) -> dict[str, FloatArray]:
     tunable = list(machine.vibration.tunable)
     if CATALOGUE[candidate.name].kind != "parameter" or candidate.switch or not tunable:
-        return frozenset()
+        return {}
     unchanged = {n.name: n.start for n in candidate.parameters}
     filed = {n: value_of(machine, n) for n in tunable}
     columns = []
@@ -70,14 +70,15 @@ def _replaced(machine: Machine, candidate: Candidate) -> frozenset[str]:
         tables = effect_tables({**unchanged, a.name: candidate.probe[a.name]})
         changed = effective_machine(with_effects(machine, tables))
         if not np.allclose(_response(with_values(changed, filed)), _response(machine), rtol=1e-9):
-            return frozenset()  # it does something else besides
-        columns.append([value_of(changed, n) - x for n, x in filed.items()])
-    span = np.array(columns).T
-    if not np.any(span):
-        return frozenset()
-    span /= np.linalg.norm(span, axis=0).max()
-    projection = span @ np.linalg.pinv(span)
-    return frozenset(n for n, share in zip(tunable, np.diag(projection), strict=True) if share > 1 - 1e-6)
+            return {}  # it does something else besides
+        z = (candidate.probe[a.name] - a.start) / a.sd
+        columns.append([(value_of(changed, n) - x) / z for n, x in filed.items()])
+    by_z = np.array(columns).T  # (numbers, amplitudes)
+    if not np.any(by_z):
+        return {}
+    span = by_z / np.linalg.norm(by_z, axis=0).max()
+    shares = np.diag(span @ np.linalg.pinv(span))
+    return {n: row for n, row, share in zip(tunable, by_z, shares, strict=True) if share > 1 - 1e-6}
 
 
 def _response(machine: Machine) -> ComplexArray:

@@ -303,7 +303,10 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
 
 def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> Fit:
     """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
-    z, jacobian, file = best.fit.z[: best.machine_count], best.machine_jacobian, estimation.problem.parameters
+    file, alone = estimation.problem.parameters, best
+    for c in best.effects:
+        alone = alone.without(c, file)
+    z, jacobian = alone.fit.z, alone.fit.jacobian
     if any(c.replaces for c in best.effects):
         jacobian = linearised(estimation, file, z).jacobian
     retuned = fit(estimation, file, z, jacobian, iterations=4)

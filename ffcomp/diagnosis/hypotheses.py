@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.settings import SearchSettings
@@ -78,7 +78,7 @@ class Hypothesis:
         return not implausible(self.fit, self.machine_count)
 
     def without(self, dropped: Candidate, file: Sequence[Parameter]) -> Hypothesis:
-        """Leave one effect out, everything else as it stands; the numbers of the file that it replaced are free again.
+        """Leave one effect out, everything else as it stands; the numbers of the file that it replaced do what it did.
 
         Parameters
         ----------
@@ -89,13 +89,21 @@ class Hypothesis:
         free = {n.name: n for n in file}
         machine = held([free.get(n.name, n) for n in self.machine_parameters], effects)
         parameters = (*machine, *(n for n in self.effect_parameters if n not in dropped.parameters))
-        z, jacobian = self.fit.z[keep], self.fit.jacobian[:, keep]
-        return Hypothesis(effects, replace(self.fit, parameters=parameters, z=z, jacobian=jacobian))
+        sizes = np.array([self.fit.z[self.fit.parameters.index(a)] for a in dropped.amplitudes])
+        instead = {name: float(by_z @ sizes) for name, by_z in dropped.replaces.items()}
+        z = [
+            instead[n.name] / n.sd if n.name in instead else x
+            for n, x in zip(parameters, self.fit.z[keep], strict=True)
+        ]
+        fitted = replace(
+            self.fit, parameters=parameters, z=clipped(parameters, np.array(z)), jacobian=self.fit.jacobian[:, keep]
+        )
+        return Hypothesis(effects, fitted)
 
 
 def held(machine: Sequence[Parameter], effects: Sequence[Candidate]) -> tuple[Parameter, ...]:
     """Hold the numbers that effects replace where the file has them: a fit that moves both ends anywhere between."""
-    replaced = frozenset[str]().union(*(c.replaces for c in effects))
+    replaced = {name for c in effects for name in c.replaces}
     return tuple(replace(n, low=n.start, high=n.start) if n.name in replaced else n for n in machine)
 
 

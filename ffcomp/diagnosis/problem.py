@@ -69,7 +69,8 @@ class Candidate:
     alternative: tuple[Parameter, ...] = ()  # shapes in place of the finer ones: of another kind of the same effect
     other: Candidate | None = None  # the same effect with a parameter for each tower, or alike in all directions
     switch: bool = False  # there or not: its one amplitude is 1 or 0
-    replaces: frozenset[str] = frozenset()  # numbers of the file that do what its amplitudes do
+    # numbers of the file that do what its amplitudes do: by how much with each amplitude's z, (a,)
+    replaces: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
