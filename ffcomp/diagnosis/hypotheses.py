@@ -181,10 +181,16 @@ def competing_with(
 def moved_numbers(fitted: Fit, machine_count: int | None = None) -> list[tuple[str, float]]:
     """Return by how many of its uncertainties each of the file's numbers moved, among the first parameters.
 
-    The clocks of recordings do not count: many of them that stay where they are would hide two numbers that do not.
+    The clocks of recordings count together, by what they have in common: many that stay where they are would hide two
+    numbers that do not, and a machine that is late makes all recordings a little late.
     """
-    moved = zip(fitted.parameters[:machine_count], fitted.z[:machine_count], strict=True)
-    return [(n.name, abs(float(z))) for n, z in moved if not belongs_to_recording(n.name)]
+    moved = [(n.name, float(z)) for n, z in zip(fitted.parameters[:machine_count], fitted.z, strict=False)]
+    clocks: dict[str, list[float]] = {}
+    for name, z in moved:
+        if belongs_to_recording(name):
+            clocks.setdefault(f"{name.rpartition('.')[2]} of all recordings", []).append(z)
+    common = [(name, abs(sum(each)) / len(each) ** 0.5) for name, each in clocks.items() if len(each) > 1]
+    return [*((name, abs(z)) for name, z in moved if not belongs_to_recording(name)), *common]
 
 
 def implausible(fitted: Fit, machine_count: int | None = None) -> bool:
