@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -253,7 +253,7 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
 def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
     motion = experiment.motion
     columns = zip(LIMIT_COLUMNS, motion.move_limits.T, strict=True)
-    optional = {
+    optional: dict[str, Any] = {
         "own_limits": {
             name: [None if x != x else x for x in column.tolist()]  # JSON has no NaN
             for name, column in columns
@@ -261,8 +261,10 @@ def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
         },
         "stops": np.flatnonzero(motion.stop_before).tolist(),
         "waits_s": {str(i): float(motion.wait_before[i]) for i in np.flatnonzero(motion.wait_before).tolist()},
-        "excitation": experiment.excitation and _excitation_dict(experiment.excitation),
     }
+    excitation = experiment.excitation
+    if excitation is not None:
+        optional["excitation"] = asdict(excitation) | {"segment_s": excitation.band.segment_s}
     return {
         "name": experiment.name,
         "kind": experiment.kind,
@@ -276,17 +278,6 @@ def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
         "ends_mm": motion.ends_mm.tolist(),
         "speed_mm_per_s": motion.speed.tolist(),
         **{key: value for key, value in optional.items() if value},
-    }
-
-
-def _excitation_dict(excitation: Excitation) -> dict[str, Any]:
-    return {
-        "direction": excitation.direction,
-        "band": asdict(excitation.band),
-        "marker_knots": excitation.marker_knots,
-        "first_knot": excitation.first_knot,
-        "periods": excitation.periods,
-        "segment_s": excitation.band.segment_s,
     }
 
 
@@ -324,6 +315,7 @@ def _plan(read: Mapping[str, Any]) -> Plan:
         rest_after_s=float(read["rest_after_s"]),
         seed=int(read["seed"]),
         print_file=read["print"],
+        shaper=read.get("shaper", "off"),
         page=Page(**read["page"]) if "page" in read else None,
     )
 
@@ -367,10 +359,5 @@ def _motion(entry: Mapping[str, Any]) -> Motion:
 
 
 def _excitation(entry: Mapping[str, Any]) -> Excitation:
-    return Excitation(
-        direction=entry["direction"],
-        band=Band(**entry["band"]),
-        marker_knots=int(entry["marker_knots"]),
-        first_knot=int(entry["first_knot"]),
-        periods=int(entry["periods"]),
-    )
+    numbers = {each.name: entry[each.name] for each in fields(Excitation)}
+    return Excitation(**numbers | {"band": Band(**entry["band"])})
