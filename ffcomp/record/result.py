@@ -84,20 +84,14 @@ class JoinResult:
         refused = (*self.refused, *(Refused(each.source, NO_ACCELERATIONS) for each in motors))
         return replace(self, joined=tuple(each for each in self.joined if each not in motors), refused=refused)
 
-    @property
-    def failure(self) -> MeasurementError | None:
-        """An error with every reason if nothing could be joined."""
-        if self.joined:
-            return None
-        if len({each.file for each in self.refused}) == 1:
-            return MeasurementError(self.refused[0].file, [each.why for each in self.refused])
-        reasons = [f"{each.file}: {each.why}" for each in self.refused]
-        return MeasurementError("captures", ["None of them could be joined.", *reasons])
-
     def check(self) -> None:
-        """Raise a MeasurementError if nothing could be joined."""
-        if self.failure is not None:
-            raise self.failure
+        """Raise a MeasurementError with every reason if nothing could be joined."""
+        if self.joined:
+            return
+        if len({each.file for each in self.refused}) == 1:
+            raise MeasurementError(self.refused[0].file, [each.why for each in self.refused])
+        reasons = [f"{each.file}: {each.why}" for each in self.refused]
+        raise MeasurementError("captures", ["None of them could be joined.", *reasons])
 
     def notes(self, plan: Plan, machine: Machine) -> list[str]:
         """Say in sentences what the user should know, though it is no reason to refuse anything."""
@@ -164,8 +158,8 @@ class JoinedRuns(Result):
 
     @property
     def failure(self) -> MeasurementError | None:
-        """Nothing could be joined."""
-        return self.result.failure
+        """Nothing could be joined; the facts have the reasons."""
+        return None if self.result.joined else MeasurementError("captures", ["None of them could be joined."])
 
 
 def measured_run(

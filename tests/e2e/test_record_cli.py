@@ -50,6 +50,10 @@ def test_captures_need_the_plan_of_their_gcode(tmp_path: Path) -> None:
     call = ("simulate", target, "-m", "ender-3", "--as-captures", tmp_path / "c")
     assert ffcomp(*call).exit_code == 2
     assert ffcomp(*call, "--plan", plan, "--flavor", "marlin").exit_code == 2
+    empty = tmp_path / "empty.csv"
+    empty.touch()
+    refused = ffcomp("record", "join", empty, "--plan", plan, "-m", "ender-3", "-o", tmp_path / "runs", "-q")
+    assert refused.exit_code == 5 and refused.output.count("The file is empty") == 1, "each reason is stated once"
     lines = target.read_text().splitlines(keepends=True)
     target.write_text("".join(line for line in lines if not line.startswith("G1 X1")))
     done = ffcomp(*call, "--plan", plan)
