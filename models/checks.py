@@ -67,11 +67,6 @@ class PhysicsChecks:
     most_load: Extreme
 
     @property
-    def is_stable(self) -> bool:
-        """Whether every vibration decays."""
-        return self.growth_per_s.value < 0
-
-    @property
     def is_passive(self) -> bool:
         """Whether the model generates no energy."""
         return self.dissipation.value > -ROUNDING_RTOL

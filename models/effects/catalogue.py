@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 from models.arrays import FloatArray
 from models.effects import delta_parts, drives, friction, sensors, structure
@@ -48,15 +48,7 @@ def key_in_file(effect: str, key: str, quantities: Quantities) -> str:
     return f"{key}{PER_KILOGRAM}" if per_kilogram else quantities.key(key)
 
 
-class HasEffects(Protocol):
-    """A printer or an axis, as its effects see it."""
-
-    @property
-    def effects(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return effect name -> its parameters."""
-
-
-def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
+def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
     """Return the parameters of one effect of a machine as arrays (see `Parameter.as_array`); None if it is absent.
 
     A missing amplitude has its neutral value, a missing shape its default. An effect without any amplitude is
@@ -81,7 +73,7 @@ def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
     return {name: p.as_array(table.get(name, p.absent)) for name, p in effect.by_name.items()}
 
 
-def terms_of(machine: HasEffects, printer: Terms) -> dict[str, Any]:
+def terms_of(machine: Machine, printer: Terms) -> dict[str, Any]:
     """Return the printer's terms with those of the machine's effects, in the order of the catalogue."""
     terms = dict(printer)
     for effect in CATALOGUE.values():

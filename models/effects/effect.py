@@ -75,7 +75,6 @@ class Parameter:
     default: float | None = None  # of a shape that is optional in a machine file
     logarithmic: bool = False  # a shape that is known by its order of magnitude only
     starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
-    instead_of: tuple[str, ...] = ()  # other shapes, which are ignored if this one is given
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
     on_axis: OnAxis = OnAxis()
 

@@ -32,7 +32,6 @@ PRESLIDING = shape(
     EACH,
     default=0.0,
     logarithmic=True,
-    instead_of=("creep_mm_per_s", "hold_per_s"),
 )
 
 

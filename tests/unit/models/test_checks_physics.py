@@ -20,7 +20,7 @@ def with_map(machine: Machine, force_map: str) -> Machine:
 @pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-super-racer"])
 def test_virtual_work_keeps_the_books(name: str) -> None:
     sound = check_physics(with_map(load_machine(name), "virtual_work"))
-    assert sound.is_stable and sound.is_passive and sound.is_reciprocal
+    assert sound.growth_per_s.value < 0 and sound.is_passive and sound.is_reciprocal
     assert sound.dissipation.value > 1e-4  # not merely by rounding
     assert max(sound.asymmetry.value, sound.load_asymmetry.value) < 1e-13
     assert sound.least_load.value == pytest.approx(1) and sound.most_load.value == pytest.approx(1)
@@ -28,7 +28,7 @@ def test_virtual_work_keeps_the_books(name: str) -> None:
 
 def test_the_papers_map_with_table_1_is_stable_but_makes_energy(as_printed: Machine) -> None:
     sound = check_physics(as_printed)
-    assert sound.is_stable and sound.growth_per_s.value < -3.0
+    assert sound.growth_per_s.value < -3.0
     assert not sound.is_passive and sound.dissipation.value == pytest.approx(-0.228, abs=0.005)
     assert not sound.is_reciprocal and sound.asymmetry.value == pytest.approx(0.45, abs=0.01)
     assert sound.load_asymmetry.value == pytest.approx(0.31, abs=0.01)
