@@ -147,7 +147,7 @@ def amplitude(
     size: Size = "scalar",
     **more: Any,
 ) -> Parameter:
-    """Declare an amplitude; `more` may have fields of `OnAxis`, and a `unit` where the name does not tell it."""
+    """Declare an amplitude; `more` may have fields of `OnAxis`, and a `unit` where the name has none."""
     on_axis = {key: more.pop(key) for key in OnAxis.__dataclass_fields__ if key in more}
     unit = more.pop("unit", PLAIN.unit_of(name))
     if on_axis:
