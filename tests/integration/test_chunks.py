@@ -12,11 +12,9 @@ import pytest
 
 from ffcomp.compensation.chunks import LONGEST_S, Chunk, Splitting, split_chunks
 from ffcomp.compensation.job import StepOutput
-from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
-from ffcomp.inverse.settings import SlowingSettings, settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
 from ffcomp.steps.archive import read_steps
@@ -137,12 +135,6 @@ def test_marlins_steps_behind_a_cut_leave_the_same_error(machine: Machine, small
     assert cut.p99_um == pytest.approx(whole.p99_um, rel=0.05)
 
 
-def test_jobs_change_no_byte_of_a_spiral(spiral: bytes, machine: Machine, short_spirals: None) -> None:
-    alone, _ = compensated(spiral, machine, predict=False)
-    together, _ = compensated(spiral, machine, predict=False, jobs=2)
-    assert alone == together
-
-
 def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_spirals: None, tmp_path: Path) -> None:
     found = []
     for longest in (2000, 10**9):
@@ -233,14 +225,6 @@ def test_marlins_count_of_filament_goes_on_behind_a_cut(monkeypatch: pytest.Monk
     assert text.count(b"G92 E") >= 4 and text.count(b"M221 S100") == text.count(b"M221 S90 ; ffcomp")
     assert made.end[-1, 3] == pytest.approx(0.9 * 72.0, abs=1e-4)
     assert np.diff(made.end[:, 3]).max() < 0.3 and np.diff(made.end[:, 3]).min() > -1e-4
-
-
-def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
-    settings = replace(settings_for(tight), slowing=SlowingSettings(strict=True))
-    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
-    with pytest.raises(LimitsError, match="would have to be slowed"):
-        compensated(vase(1150, 4800.0), tight, predict=False, settings=settings)
 
 
 def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

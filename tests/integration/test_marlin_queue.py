@@ -36,7 +36,7 @@ def test_the_stated_time_is_that_of_the_queue(name: str) -> None:
         lines += ["G1 E-0.8 F2100", "G1 Z0.7 F600", f"G1 X{x} Y{y} F7200", "G1 Z0.3 F600", "G1 E0.8 F2100"]
         lines += [f"G1 X{x + dx} Y{y + dy} E0.5 F3000" for dx, dy in ((12, 0), (12, 12), (0, 12), (0, 0))]
     machine = load_machine(name)
-    options = Options.of(CompensateOptions(flavor="marlin"), machine)
+    options = Options.of(CompensateOptions(flavor="marlin", predict=False), machine)
     written = Job("\n".join(lines).encode(), "squares", machine, options).lines()
     data = b"".join(written)
     stated = written.value.statistics.print_time_s
