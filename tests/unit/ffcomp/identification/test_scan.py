@@ -18,11 +18,12 @@ from PIL import Image, ImageFilter
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import ScanFit
-from ffcomp.identification.page_lines import read_lines
+from ffcomp.identification.page_fit import RATE_HZ, _extruded, _laid, _swept, fit_page
+from ffcomp.identification.page_lines import ENDS_MM, STEP_MM, ReadLine, read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.identification.scanning import _advice, fit_pictures
-from ffcomp.record.page import DISC, PageRequest, discs_of, make_page
+from ffcomp.record.page import DISC, PageRequest, discs_of, last_line, make_page, twins
 from ffcomp.record.plan import Plan, save_plan
 from models.file import load_machine, machine_of_text
 from models.machine import Machine, with_values
@@ -40,6 +41,18 @@ PRINTER = Plant(
     bristle_n_per_m=8e4,
 )  # x rings at 60.2 Hz, y at 52.6; the file says 57 and 48
 assert np.array_equal(PRINTER.motors, COREXY)
+STIFF = Plant(
+    motors=((1.0, 1.0), (1.0, -1.0)),
+    carriage_kg=(0.2, 0.58),
+    tool_kg=(0.0, 0.42),
+    belt_n_per_m=(24_080.0, 24_080.0),
+    mount_n_per_m=(0.0, 53_000.0),
+    mount_n_s_per_m=(0.0, 19.0),
+    guide_n_s_per_m=(5.9, 22.0),
+    belt_n_s_per_m=(1.27, 1.27),
+    friction_n=(0.243, 0.222),
+    bristle_n_per_m=36_000.0,
+)  # x rings at 78.1 Hz, y at 32.0 and 81.4
 COARSE = replace(SCANNER, dpi=300.0, dust=50, margin_mm=6.0)
 
 
@@ -106,6 +119,49 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     assert all(each.startswith("The picture hardly determines") for each in fit.advice)
     warning, *_ = _advice(with_values(machine, {"axes.x.frequency_hz[0]": 35.0}), fit.result)
     assert warning.startswith("axes.x.frequency_hz[0]: further from") and "another printer of the same kind" in warning
+
+
+def lines_as_drawn(plan: Plan, plant: Plant, bead: Bead, seed: int) -> list[ReadLine]:
+    """Read a plan's strokes without a picture: the middle between the edges of what the plant draws, with noise."""
+    rng, pairs = np.random.default_rng(seed), twins(plan)
+    strokes = replace(plan, experiments=tuple(stroke for stroke, _ in pairs))
+    lines = []
+    for stroke, drawn in zip(strokes.experiments, draw(strokes, straight_player(plant), bead, seed), strict=True):
+        line = last_line(stroke.motion)
+        s = np.arange(ENDS_MM[0], line.length_mm - ENDS_MM[1], STEP_MM)
+        away = drawn.points_mm - line.foot
+        middle = _swept(np.column_stack([away @ line.along, away @ line.across]), drawn.width_mm / 2, s[0], len(s), 0.1)
+        lines.append(ReadLine(stroke, line, s, middle + 0.003 * rng.standard_normal(len(s)), 0.005, "page"))
+    return lines
+
+
+def test_a_bead_is_wider_where_the_nozzle_slows_down_along_its_line(plan: Plan) -> None:
+    """The other axis rings along the line, by a quarter of a millimetre: the bead is 0.2 to 1 mm wide there."""
+    bead, shaken = (
+        Bead(pressure_s=0.006, rough_mm=1e-6, uneven=0.0, foot_mm=0.0),
+        replace(PRINTER, friction_n=(0.0, 0.0)),
+    )
+    known = {"speed": 1.0, "ring_x": 1.0, "ring_y": 1.0, "pressure_s": 0.006, "drag_mm": bead.drag_mm, "shift_mm": 0.0}
+    known |= {"rounding_mm": bead.bore_mm / np.sqrt(12), "radius_mm": 0.225}
+    for line in lines_as_drawn(plan, shaken, bead, 1):
+        steps = round((line.stroke.duration_s + 0.07) * RATE_HZ)
+        t = np.arange(steps) / RATE_HZ - LEAD_S
+        fine = straight_player(shaken)(line.stroke, 0.5 / RATE_HZ)[: 2 * steps : 2]
+        laid = _laid(line, fine, _extruded(line.stroke.motion, t), known)
+        after = line.s_mm > 1.5  # before it, the zigzag's end is drawn over
+        assert np.std((line.across_mm - laid)[after]) < 0.15 * np.std(laid[after]) + 0.003
+
+
+def test_the_right_one_of_two_likely_frequencies_is_found(machine: Machine) -> None:
+    """x rings at 78.1 Hz with much friction where the file says 57: at 50 Hz the lines look more alike at first."""
+    plan = make_page(machine, PageRequest())
+    cells = replace(plan, experiments=tuple(each for each in plan.experiments if each.place < 2))
+    lines = lines_as_drawn(cells, STIFF, Bead(pressure_s=0.004), 5004)
+    fit = fit_page(machine, lines, 0.45)
+    for axis, name in enumerate("xy"):
+        assert fit.estimates[f"axes.{name}.frequency_hz[0]"].value == pytest.approx(
+            STIFF.axis_modes(axis)[0][0], rel=0.02
+        )
 
 
 Spoil = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
