@@ -60,7 +60,7 @@ class OneAxisFit(MachineFit):
     @property
     def found(self) -> list[Fact]:
         """Every parameter."""
-        return number_facts(self.result.estimates, self.kept)
+        return number_facts(self.result.estimates)
 
     @property
     def next_steps(self) -> list[str]:

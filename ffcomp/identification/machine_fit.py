@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -142,7 +142,10 @@ class ParametersFit(MachineFit):
     @property
     def found(self) -> list[Fact]:
         """Every parameter."""
-        return number_facts({**self.result.fitted.estimates, **self.beside_scale}, self.result.kept)
+        fitted, kept = self.result.fitted, self.result.kept
+        numbers = {key: e for key, e in {**fitted.estimates, **self.beside_scale}.items() if key not in kept}
+        unchanged = "unchanged: the data do not determine it"
+        return [*number_facts(numbers), *((key, f"{value_of(fitted.machine, key):.5g}, {unchanged}") for key in kept)]
 
     @property
     def own(self) -> dict[str, Any]:
@@ -360,13 +363,12 @@ class ScanFit(MachineFit):
         }
 
 
-def number_facts(numbers: Mapping[str, Estimate], kept: Collection[str] = ()) -> list[Fact]:
-    """Return each parameter with its 90 % interval; kept : parameters that the data do not determine."""
+def number_facts(numbers: Mapping[str, Estimate]) -> list[Fact]:
+    """Return each parameter with its 90 % interval."""
     facts = []
     for key, e in numbers.items():
         percent = f" ± {100 * e.sd / abs(e.value):.2g} %" if e.value else ""
-        remark = ", unchanged: the data do not determine it" if key in kept else ""
-        facts.append((key, f"{e.value:.5g}{percent} (90 %: {e.low:.4g} to {e.high:.4g}){remark}"))
+        facts.append((key, f"{e.value:.5g}{percent} (90 %: {e.low:.4g} to {e.high:.4g})"))
     return facts
 
 

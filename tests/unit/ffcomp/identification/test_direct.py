@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError, SolverError
-from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
+from ffcomp.identification.direct import Identified
+from ffcomp.identification.machine_fit import ParametersFit
+from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, Fitted, fit_machine
 from ffcomp.identification.paper import carriage_step, identify_as_paper
 from ffcomp.identification.predict import predicted
+from ffcomp.identification.uncertainty import lognormal
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine, value_of
@@ -91,3 +94,12 @@ def test_a_response_the_model_does_not_have_is_refused() -> None:
     for wrong in ({"input": "voltage"}, {"output": "pos_Q"}, {"output": "sound_A"}):
         with pytest.raises(MeasurementError, match=r"voltage|Q|sound"):
             predicted(TRUTH, [replace(blank(COARSE, input="cmd_A", output="pos_A"), **wrong)])
+
+
+def test_a_number_that_is_kept_is_shown_with_the_files_value() -> None:
+    kept, told = "carriage.mass_kg", "carriage.belt_stiffness_n_per_m"
+    found = {name: lognormal(1.3 * value_of(TRUTH, name), 0.2) for name in (kept, told)}
+    fitted = Fitted(TRUTH, found, {kept: 0.9, told: 0.1}, {}, {}, {}, 0.0, found, 1.0, 0.0, np.zeros(0), [], [])
+    facts = dict(ParametersFit(start=TRUTH, data=[], name="better", result=Identified(fitted, (kept,), ())).found)
+    assert facts[kept] == f"{value_of(TRUTH, kept):.5g}, unchanged: the data do not determine it"
+    assert facts[told].startswith(f"{1.3 * value_of(TRUTH, told):.5g} ± 20 %")
