@@ -363,6 +363,3 @@ def _nozzle_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
 
 def _carriages_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
     return 1e3 * (printer.home_q_m + qpos[:, printer.carriages_at])
-
-
-# ---- energy --------------------------------------------------------------------------------------
