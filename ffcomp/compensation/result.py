@@ -206,8 +206,6 @@ class Result:
             "moves": numbers.moves,  # whole number: of the original
             "segments": numbers.segments,  # whole number: that were written; 0 with step timings
             "windows": numbers.windows,  # whole number: windows that were solved
-            # whole number: of them solved again because a limit was exceeded
-            "limited_windows": numbers.limited_windows,
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,
