@@ -9,7 +9,7 @@ import numpy as np
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.scheduled import Schedule, plant_table
+from models.vibration.scheduled import PITCH_MM, Schedule, plant_table
 
 STEP_S = 5e-4
 SUBSTEPS = 8  # steps per model
@@ -21,9 +21,11 @@ JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the noz
 class LinearPlayback:
     """The linear model of a machine, simulated with a fixed step of STEP_S."""
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, machine: Machine, pitch_mm: float = PITCH_MM) -> None:
+        """Tabulate the plant over the bed, with nodes this far apart."""
         self._machine = machine
-        self._schedule = Schedule(machine.kinematics, plant_table(machine.kinematics, machine.vibration, STEP_S))
+        table = plant_table(machine.kinematics, machine.vibration, STEP_S, pitch_mm)
+        self._schedule = Schedule(machine.kinematics, table)
 
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray | None = None
