@@ -23,7 +23,7 @@ from ffcomp.compensation.plan import Context, plan_chunk
 from ffcomp.compensation.prediction import LONGEST_S
 from ffcomp.compensation.program import Output, compensated_sections
 from ffcomp.compensation.request import CompensateOptions
-from ffcomp.compensation.result import Result
+from ffcomp.compensation.result import FileSize, Result
 from ffcomp.compensation.solve import replanner_of
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
@@ -179,10 +179,10 @@ class Job:
             deque(lines.of(self.outputs(reach, StepStream(sink), steps.plain), reach), maxlen=0)
             predicted = _forecast(lines.statistics, self.machine)
             totals = sink.finish()
-        result = self.result(lines.statistics, time.perf_counter() - started, predicted)
+        result = self.result(lines, time.perf_counter() - started, predicted)
         return replace(result, steps=totals, shaper=None)
 
-    def result(self, statistics: Statistics, seconds: float, predicted: Forecast) -> Result:
+    def result(self, lines: Lines, seconds: float, predicted: Forecast) -> Result:
         """Save the model's tables for the next print, and return the result after so many seconds of work."""
         self.model.save_cache()
         return Result(
@@ -190,8 +190,9 @@ class Job:
             self.machine,
             self._flavor_choice,
             self._placement,
-            statistics,
+            lines.statistics,
             seconds,
+            lines.size,
             embedded=self.settings.writer.embed,
             robust=self._robust,
             shaper=self.shaper,
@@ -365,7 +366,7 @@ class Lines:
 
     def __init__(self, job: Job, progress: Progress, folder: Path | None = None) -> None:
         self._job, self._progress, self._folder = job, progress, folder
-        self.statistics = Statistics()  # so far
+        self.statistics, self.size = Statistics(), FileSize()  # so far
 
     def __iter__(self) -> Iterator[bytes]:
         job, started = self._job, time.perf_counter()
@@ -385,8 +386,12 @@ class Lines:
             pieces = with_shaper_off(pieces, job.shaper)
         stamp = stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
         notes = offset_line(job.offset) + (b"" if embed else WITHOUT_ORIGINAL + b"\n")
-        yield from stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end)
-        self.value = job.result(self.statistics, time.perf_counter() - started, predicted)
+        written = 0
+        for piece in stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end):
+            written += len(piece)
+            yield piece
+        self.size = replace(self.size, written=written)
+        self.value = job.result(self, time.perf_counter() - started, predicted)
 
     def of(self, outputs: Iterable[tuple[Iterable[Output], int]], reach: Reach) -> Iterator[bytes]:
         """Yield the text of chunks, of some bytes of the print each, and add up their statistics."""
@@ -402,7 +407,7 @@ class Lines:
                 self._progress(min((done + output.share * size) / max(job.size, 1), 1.0))
             self.statistics += of_chunk
             done += size
-        self.statistics += Statistics(warnings=reach.warnings)
+        self.statistics, self.size = self.statistics + Statistics(warnings=reach.warnings), FileSize(done)
 
 
 def _planned_and_compensated(chunk: Chunk, context: Context) -> Iterator[Output]:

@@ -55,6 +55,21 @@ class QuickerPrint:
     by_feature: Mapping[str, Mapping[str, float]]
 
 
+@dataclass(frozen=True, slots=True)
+class FileSize:
+    """Bytes of G-code, not packed."""
+
+    original: int = 0
+    written: int = 0  # 0: step timings
+
+    def __add__(self, other: FileSize) -> FileSize:
+        return FileSize(self.original + other.original, self.written + other.written)
+
+    def __str__(self) -> str:
+        times, megabytes = self.written / max(self.original, 1), (self.original / 1e6, self.written / 1e6)
+        return f"{times:.1f} times as large as the original ({megabytes[0]:.2g} → {megabytes[1]:.2g} MB)"
+
+
 @dataclass(frozen=True)
 class Result:
     """What the compensation of a print has given."""
@@ -65,6 +80,7 @@ class Result:
     placement: Placement
     statistics: Statistics
     compute_time_s: float
+    size: FileSize = FileSize()
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
     embedded: bool = True  # whether the G-code holds its original
     robust: RobustChoice = PLAIN
@@ -174,8 +190,12 @@ class Result:
 
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
-        statistics, compute_time_s = self.statistics + other.statistics, self.compute_time_s + other.compute_time_s
-        return replace(self, statistics=statistics, compute_time_s=compute_time_s)
+        return replace(
+            self,
+            statistics=self.statistics + other.statistics,
+            compute_time_s=self.compute_time_s + other.compute_time_s,
+            size=self.size + other.size,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `compensate`."""
@@ -205,6 +225,10 @@ class Result:
             },
             "moves": numbers.moves,  # whole number: of the original
             "segments": numbers.segments,  # whole number: that were written; 0 with step timings
+            "size": {
+                "original": self.size.original,  # whole number [bytes]: G-code of the original, not packed
+                "written": self.size.written,  # whole number [bytes]: of the compensated print; 0 with step timings
+            },
             "windows": numbers.windows,  # whole number: windows that were solved
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
@@ -317,7 +341,8 @@ class CompensatedFile(VerbResult):
             yield "Tracking error", f"{um(was.tracking_rms_um)} → {um(now.tracking_rms_um)} µm rms. {late}".rstrip()
             peaks = (each.peak_command_acceleration_mm_per_s2 / 1e3 for each in (was, now))
             yield "Peak acceleration of a motor", "{:.1f} → {:.1f} m/s²".format(*peaks)
-        yield "Print time", f"{clock(numbers.print_time_s)}, was {clock(numbers.original_print_time_s)}"
+        was_s, now_s = numbers.original_print_time_s, numbers.print_time_s
+        yield "Print time", f"{clock(now_s)}, was {clock(was_s)} ({100 * (now_s / max(was_s, 1e-9) - 1):+.1f} %)"
         path, filament = percent(numbers.shares.path), percent(numbers.shares.filament)
         yield "Compensated", f"{path} of the path, {filament} of the filament"
         if result.faster is not None:
@@ -338,7 +363,7 @@ class CompensatedFile(VerbResult):
         if result.steps:
             yield "Steps", ", ".join(f"{motor.upper()} {total.steps}" for motor, total in result.steps.items())
         elif result.steps is None:
-            yield "Segments", f"{numbers.segments} for {numbers.moves} moves"
+            yield "Segments", f"{numbers.segments} for {numbers.moves} moves; the file is {result.size}"
         speed = numbers.print_time_s / max(result.compute_time_s, 1e-9)
         yield "Took", f"{result.compute_time_s:.1f} s, {speed:.0f} times faster than printing"
 

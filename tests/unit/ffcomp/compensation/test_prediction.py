@@ -10,6 +10,7 @@ import pytest
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.prediction import Prediction
+from ffcomp.compensation.result import FileSize
 from ffcomp.simulation.preview import preview
 from models.file import load_machine
 from tests.support.prints import squares
@@ -22,6 +23,7 @@ def test_it_is_near_what_the_whole_file_does_when_it_is_read_again(layers: int, 
     """Rests are not in it."""
     target = tmp_path / "out.gcode"
     done = compensate_file(squares(layers), "squares.gcode", MACHINE, Options(flavor="klipper"), target)
+    assert done.result.size == FileSize(len(squares(layers)), target.stat().st_size)
     found = done.result.forecast
     again = preview(target.read_bytes(), "out.gcode", MACHINE, flavor="klipper").forecast(MACHINE)
     assert 3.0 < found.over_s <= again.over_s and found.expected is not None and again.expected is not None
