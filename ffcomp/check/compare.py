@@ -124,7 +124,7 @@ class CheckResult(Result):
     drawn_by: ClassVar = {"history": "ffcomp.report.check:checks_figure"}
     schema = "ffcomp-check/1"
     json_keys: ClassVar = keys(
-        *("machine", "since_first", "experiments", "history", "notes"),
+        *("machine", "experiments", "history", "notes"),
         machine_sha256="check.machine_sha256",
         date="check.date",
         finding="verdict.finding",
@@ -140,6 +140,8 @@ class CheckResult(Result):
         sensor_turned_deg="compared.turned_deg",
         sensor_gain="compared.gain",
         already_known="known",
+        since_first="since_first.message",
+        since_first_finding="since_first.finding",
     )
 
     check: Check  # for the history

@@ -81,7 +81,7 @@ class MachineFit(Result):
         """Return the keys of the JSON object `schema`."""
         keys = {
             "schema": self.schema,
-            "started_from": {"name": self.start.name, "sha256": self.start.sha256},
+            "started_from": self.start,
             "data": self.data,
             "skipped": self.skipped,
             **({} if self.belts is None else {"belts": _belts(self.belts)}),

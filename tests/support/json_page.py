@@ -19,6 +19,7 @@ SCALARS: dict[str, tuple[type, ...]] = {
     "whole number": (int,),
     "boolean": (bool,),
     "null": (type(None),),
+    "list": (list,),
     "number and null": (int, float, type(None)),
 }
 

@@ -18,7 +18,7 @@ def residual_at(
         split("place", places, at=tuple(places)),
         split("motion", dict(zip(MOTIONS, motion, strict=True))),
     )
-    return ResidualBreakdown(size, {}, {file: size}, {each.title: each for each in splits})
+    return ResidualBreakdown(size, {"acc_x": size}, {file: size}, {each.title: each for each in splits})
 
 
 def split(title: str, shares: Mapping[object, float], **about: tuple[Span, ...]) -> Split:
