@@ -60,7 +60,7 @@ Pair = tuple[SensorSignal, SensorSignal]  # today and then
 
 
 def changes_of(machine: Machine) -> list[Change]:
-    """List what may change, the simple before the special."""
+    """List the possible changes, the simple before the special."""
     modes = [name for name in machine.vibration.tunable if "frequency_hz[" in name or "damping_ratio[" in name]
     guides: list[int | None] = [None, *range(3)]
     changes = [_belts(only) for only in guides]

@@ -70,7 +70,7 @@ def verdict(found: Difference, then: Check, axes_now: str) -> Verdict:
 
 
 def _sensor(found: Difference) -> str:
-    """Say what is with the sensor, where that explains the change better than the printer; '' where not."""
+    """Name the sensor's change where it explains the difference better than the printer; '' where not."""
     others = max((each.share for each in found.explanations), default=0.0)
     if found.sensor_share < max(EXPLAINED, others):
         return ""
@@ -193,7 +193,7 @@ class CheckResult(Result):
 
 
 def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequence[Check], date: str) -> CheckResult:
-    """Compare what was joined with the machine file and with the history."""
+    """Compare joined captures with the machine file and with the history."""
     signals, axes = signals_of(joined.joined, plan), joined.joined[0].axes_map
     moves = moves_hash(plan_dict(plan)["experiments"])
     comparable = [each for each in history if each.plan == moves and each.signals]

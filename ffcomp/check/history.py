@@ -1,6 +1,6 @@
 """The history of a printer's checks: one file of lines, each a check as JSON.
 
-Each line has what was found. Motion is kept of the first check of a plan and of the last few, so that the file stays
+Each line has a finding. Motion is kept of the first check of a plan and of the last few, so that the file stays
 small; a line that cannot be read is never overwritten.
 """
 

@@ -77,7 +77,7 @@ def in_band(rows: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def signals_of(joined: Sequence[Joined], plan: Plan) -> list[SensorSignal]:
-    """Thin what was joined, in the order of the plan; an experiment without any recording is missing."""
+    """Thin joined captures, in the order of the plan; an experiment without any recording is missing."""
     signals = []
     for experiment in plan.experiments:
         repeats = [each for each in joined if each.experiment == experiment.name]
