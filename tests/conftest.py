@@ -57,7 +57,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/inverse/test_lq_preview.py",
     "unit/ffcomp/inverse/test_robust.py",
     "unit/ffcomp/inverse/test_time_scaling.py",
-    "unit/ffcomp/inverse/test_exact_inverse.py",
+    "unit/ffcomp/inverse/test_limited_window.py",
     "unit/ffcomp/measurement/test_modes.py",
     "unit/ffcomp/measurement/test_swept.py",
     "unit/ffcomp/record",

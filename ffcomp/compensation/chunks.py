@@ -165,11 +165,8 @@ class _Known:
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
         slowed = self._slowed(knots, rest)
-        if slowed is not None:
-            if fewer := slowed._clear_cut(self._position(knots).time_in(slowed.plan)):
-                return slowed._in_motion(fewer, rest)
-            if earlier := self._clear_cut(self._t(knots - 1)):
-                return self._in_motion(earlier, rest)
+        if slowed is not None and (fewer := slowed._clear_cut(self._position(knots).time_in(slowed.plan))):
+            return slowed._in_motion(fewer, rest)
         return self._cut(knots, rest)
 
     def _t(self, knots: int) -> float:

@@ -89,7 +89,7 @@ class Options:
         plain = request.inverse == "none"
         settings = replace(
             settings_for(machine, request.max_segments_per_second),
-            slowing=SlowingSettings(strict=request.strict),
+            slowing=SlowingSettings(tolerance_um=request.tolerance_um, strict=request.strict),
             writer=WriterSettings(embed=request.embed),
         )
         bound = _bound_of(request)

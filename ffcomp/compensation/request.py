@@ -116,6 +116,16 @@ class CompensateOptions(Request):
         ),
     ] = "auto"
     strict: Annotated[bool, Option("Stop with exit code 6 where a limit would slow the print down.", ACCURACY)] = False
+    tolerance_um: Annotated[
+        float,
+        Option(
+            "Largest path error that an active limit may cause before the print is slowed down.",
+            ACCURACY,
+            metavar="UM",
+            unit="µm",
+            low=0.1,
+        ),
+    ] = 25.0
     max_error_um: Annotated[
         float | Mapping[str, float] | None,
         Option(

@@ -230,6 +230,8 @@ class Result:
                 "written": self.size.written,  # whole number [bytes]: of the compensated print; 0 with step timings
             },
             "windows": numbers.windows,  # whole number: windows that were solved
+            # whole number: of them solved again because a limit was exceeded
+            "limited_windows": numbers.limited_windows,
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,

@@ -171,6 +171,7 @@ class Statistics:
     moves: int = 0
     segments: int = 0
     windows: int = 0
+    limited_windows: int = 0
     original_print_time_s: float = 0.0
     print_time_s: float = 0.0
     warnings: tuple[str, ...] = ()
@@ -189,6 +190,7 @@ class Statistics:
             moves=self.moves + later.moves,
             segments=self.segments + later.segments,
             windows=self.windows + later.windows,
+            limited_windows=self.limited_windows + later.limited_windows,
             original_print_time_s=self.original_print_time_s + later.original_print_time_s,
             print_time_s=self.print_time_s + later.print_time_s,
             warnings=tuple(dict.fromkeys(self.warnings + later.warnings)) if later.warnings else self.warnings,
@@ -247,6 +249,7 @@ def of_section(
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > UTILISATION_TOLERANCE else ()
     return Statistics(
         windows=result.windows,
+        limited_windows=len(result.constrained),
         print_time_s=longer_s,
         warnings=warnings,
         slowed=tuple(each for each in solved.slowed if each.seconds > 0.0),

@@ -156,7 +156,7 @@ class SectionSearch:
         model, s = self.model, self.model.settings
         plan = plan_section(self.limits, moves, 0.0)
         written = WHOLE.written(plan, Section(0, len(moves), True, 0.0, plan.end_t), s)
-        solution = solve(model, written.reference, self.state, keep_response=True)
+        solution = solve(model, written.reference, self.state, keep_response=True, enforce_limits=False)
         path = np.append(plan.start_t, plan.end_t), np.vstack([moves.start[:, :3], moves.end[-1:, :3]])
         t = self.ensemble.times(written, solution)
         errors = *self.ensemble.errors(written, solution, path), 1.0 / self.ceiling.bound_mm[plan.move_at(t)]

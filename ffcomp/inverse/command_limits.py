@@ -39,6 +39,7 @@ class CommandLimits:
     travel_mm: tuple[float, float]  # lowest and highest place of a motor; infinite where it is not known
     segment_s: float
     rows: FloatArray  # (3, 8), `Kinematics.motor_rows`
+    motors: FloatArray  # (3, 3) motors from carriages
 
     @classmethod
     def of(cls, machine: Machine, segment_s: float) -> CommandLimits:
@@ -51,6 +52,7 @@ class CommandLimits:
             limits.carriage_travel_mm or (-np.inf, np.inf),
             segment_s,
             np.ascontiguousarray(geometry.motor_rows),
+            geometry.motors,
         )
 
     @property

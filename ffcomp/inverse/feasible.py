@@ -37,6 +37,7 @@ ENDS = 6  # knots of a command at either end, where its motion begins and ends
 STEEP = 1.4  # times the accelerations of its path and its middle: limit for the ends
 CALMED = 3  # rounds; each inverts more of the section plainly
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
+NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,10 @@ class SolvedSection:
 
 
 def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSection:
-    """Solve a section; where its command exceeds a limit, on a plan that is slower there, or not at all if `strict`.
+    """Solve a section; where its limits cannot be kept within the tolerance, on a plan that is slower there.
+
+    The model's settings say how far the nozzle may leave the path where a limit is active, and whether to refuse
+    (`strict`) instead of slowing down.
 
     Raises
     ------
@@ -90,6 +94,8 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
     for written, gentle in _layouts(model, request):
         if (found := _within_limits(model, request, written, gentle)) is not None:
             return found
+    written = request.written
+    solution = _free(model, request, written)
     scaled = ScaledSection(
         model,
         request.program,
@@ -101,7 +107,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
         request.state,
         keep_response=request.keep_response,
     )
-    written, solution = scaled.solve((request.written, _solved(model, request, request.written)))
+    written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
         return SolvedSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
@@ -145,7 +151,7 @@ def _within_limits(
     events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
     rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
     for left in reversed(range(rounds + 1)):
-        solution = _solved(model, request, written)
+        solution = _free(model, request, written)
         beyond = _beyond(model, written, solution, gentle, events)
         if not beyond[written.first : written.last].any():
             return SolvedSection(request.trajectory, request.section, written, solution)
@@ -176,8 +182,10 @@ def _beyond(
     return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices, events))
 
 
-def _solved(model: InverseModel, request: PlannedSection, written: WrittenReference) -> Solution:
-    return solve(model, written.reference, request.state, keep_response=request.keep_response)
+def _free(model: InverseModel, request: PlannedSection, written: WrittenReference) -> Solution:
+    """Solve a section without limits."""
+    keep = request.keep_response
+    return solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
 
 
 def scale_around_cut(
@@ -213,7 +221,7 @@ def scale_around_cut(
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
     state = model.machine.equilibrium(moves.start[0, :3])
     scaled = ScaledSection(model, program, 0, len(moves), replanner, 0.0, middle, state, fixed=~inner)
-    scaled.scale()
+    scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()
     if records and model.settings.slowing.strict:
         _refuse(records)

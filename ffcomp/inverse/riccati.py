@@ -1,12 +1,8 @@
-"""The preview inverse: a least squares, solved by dynamic programming with gains that depend on place only.
+"""The preview inverse: the same least squares, solved by dynamic programming with gains that depend on place only.
 
-The firmware executes G1 segments, so the command is a spline of degree 1 with a knot at the end of every segment. In
-error coordinates q_d = q* + N γ (q*: the reference carriage path, N: the hats of the spline) a section minimises
-
-    ‖ e₀ − Φ γ ‖² + ρ ‖ D² γ ‖²                                 Φ = J G N: the basis filtered through the plant
-
-which is an optimal tracking problem (linear-quadratic, with preview). Its state holds the answer x to γ and the last
-two coefficients, its control is
+In error coordinates q_d = q* + N γ the least squares of `limited_window.py` over a whole section is an optimal tracking
+problem (linear-quadratic, with preview). Its state holds the answer x to γ and the last two coefficients, its control
+is
 
     w_k = γ_{k+1} − 2 γ_k + γ_{k−1}          z_k = (x_k, γ_k, γ_{k−1})          z_{k+1} = 𝒜 z_k + ℬ w_k
 
@@ -19,7 +15,6 @@ command must rest: there the gains are those of the finite problem, counted from
     s_k = (𝒜 − ℬF)ᵀ s_{k+1} + (C̄ − D̄F)ᵀ ē_k + ρ Fᵀ d_k         ψ_k = R⁻¹ (ℬᵀ s_{k+1} + D̄ᵀ ē_k − ρ d_k)
     w_k = ψ_k − F z_k                                           R = ρ I + D̄ᵀD̄ + ℬᵀPℬ,  F = R⁻¹ (D̄ᵀC̄ + ℬᵀP𝒜)
 
-Duan, Yoon & Okwudire, A limited-preview filtered B-spline approach to tracking control, Mechatronics 56 (2018) 287-296.
 Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, ch. 4 and 10; the Riccati equation by structured
 doubling (Chu, Fan, Lin & Wang, Int. J. Control 77 (2004) 767-788).
 """
@@ -55,6 +50,51 @@ def _forward() -> Any:
     from models.vibration.recursion import sized_recursion
 
     return sized_recursion(of_input=3)
+
+
+@kernel
+def basis_response(
+    a: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    carriage: FloatArray,
+    jacobian: FloatArray,
+    unknowns: int,
+    per_knot: int,
+) -> FloatArray:
+    """Φ: the nozzle's response to each coefficient of the degree-1 spline, through the scheduled plant.
+
+    a (n, s, s), b0 b1 (n, s, 3): models of the n intervals for steps of S/per_knot.   carriage (3, s): actuators of the
+    states.   jacobian (n, 3, 3).
+    Unknown coefficient u (0-based) is the hat centred on knot u + 1 of the window; knot 0 is given.
+    Returns (3 n per_knot, 3 unknowns) mm per mm: rows by step (X Y Z inside), columns by knot (A B C inside).
+    """
+    n, states = a.shape[0], a.shape[1]
+    columns = 3 * unknowns
+    x = np.zeros((columns, states))
+    phi, of_states = np.zeros((3 * n * per_knot, columns)), np.ascontiguousarray(carriage.T)
+    for k in range(n):
+        live = 3 * min(k + 1, unknowns)
+        at, t0, t1 = np.ascontiguousarray(a[k].T), b0[k], b1[k]
+        for s in range(per_knot):
+            x[:live] = np.dot(x[:live], at)
+            before, after = s / per_knot, (s + 1) / per_knot
+            if k < unknowns:  # the rising half of the hat on knot k + 1
+                for c in range(3):
+                    for r in range(states):
+                        x[3 * k + c, r] += before * t0[r, c] + after * t1[r, c]
+            if 0 < k <= unknowns:  # the falling half of the hat on knot k
+                for c in range(3):
+                    for r in range(states):
+                        x[3 * k - 3 + c, r] += (1 - before) * t0[r, c] + (1 - after) * t1[r, c]
+            row = 3 * (k * per_knot + s)
+            q = np.dot(x[:live], of_states)
+            for i in range(3):
+                for col in range(live):
+                    phi[row + i, col] = (
+                        jacobian[k, i, 0] * q[col, 0] + jacobian[k, i, 1] * q[col, 1] + jacobian[k, i, 2] * q[col, 2]
+                    )
+    return phi
 
 
 def sweep_back(

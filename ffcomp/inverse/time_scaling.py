@@ -3,7 +3,7 @@
 A section whose command keeps all limits is unchanged. Otherwise, in a few rounds:
 
     the path itself demands more than a limit, and so does its command     → those moves become slower
-    the command alone demands more than a limit                            → those moves become slower
+    the command can be constrained, but the nozzle leaves the path         → those moves become slower
     segments that the firmware cannot execute in their time                → those moves become slower
     none of these                                                          → done
 
@@ -27,7 +27,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from ffcomp.errors import LimitsError
+from ffcomp.errors import LimitsError, SolverError
 from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
@@ -41,12 +41,13 @@ from ffcomp.inverse.reference import (
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.violations import (
-    EXCESS,
     SLOWEST,
+    SOLVER_ACCURACY,
     TIMING,
     Violation,
     command_violations,
     path_violations,
+    solution_violations,
     timing_violations,
 )
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
@@ -137,35 +138,53 @@ class ScaledSection:
         self.plan = self.replanner.plan(self.moves, self.begin_t)
         self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
 
-    def solve(self, first: Command) -> Command:
+    def solve(self, tolerance_mm: float, first: Command) -> tuple[WrittenReference, Solution]:
         """Return the first feasible plan of a few rounds, and its command. first : of the original plan."""
         moves, plan = self.moves, self.plan
-        command = self.scale(first)
-        if not self.reasons or self.extent.end is None:
-            return command
-        if not self._fit():
-            self.moves, self.plan, self.reasons = moves, plan, {}
-        return self._solved()
+        written, solution = self.scale(tolerance_mm, first)
+        if self.reasons and self.extent.end is not None:
+            if not self._fit():
+                self.moves, self.plan, self.reasons = moves, plan, {}
+            written, solution, violations = self._attempt(tolerance_mm, self._free())
+            solution = self._constrained(written, solution) if violations else solution
+        return written, solution
 
-    def scale(self, first: Command | None = None) -> Command:
+    def scale(self, tolerance_mm: float, first: Command | None = None) -> tuple[WrittenReference, Solution]:
         """Do the same without regard to where the written part ends."""
-        command = first or self._solved()
         for _ in range(ROUNDS):
-            violations = self._violations(*command)
+            written, solution, violations = self._attempt(tolerance_mm, first or self._free())
+            first = None
             if not violations:
-                return command
-            self._refuse_travel(command[0].reference, violations)
-            if not self._slow(command[0].reference, violations):
-                return command  # the rest is near a cut: a warning will say where a limit is exceeded, and by how much
+                return written, solution
+            self._refuse_travel(written.reference, violations)
+            if not self._slow(written.reference, violations):  # the rest is near a cut: constrained, off the path
+                return written, self._constrained(written, solution)
             self._plan_again()
-            command = self._solved()
-        written, solution = command
-        if self.extent == WHOLE and solution.utilisation > 1.0 + EXCESS:
+        written, free, violations = self._attempt(tolerance_mm, self._free())
+        if self.extent != WHOLE:
+            return written, self._constrained(written, free)
+        solution = self._solve(written)
+        if solution.utilisation > 1.0 + SOLVER_ACCURACY:
+            line = self._line_of(written.reference, violations[0])
             raise LimitsError(
-                f"{self._line_of(written.reference, violations[0])}: cannot be slowed enough: the command still needs "
-                f"{solution.utilisation:.2f}× a limit."
+                f"{line}: cannot be slowed enough: the command still needs {solution.utilisation:.2f}× a limit."
             )
-        return command
+        return written, solution
+
+    def _solve(self, written: WrittenReference, enforce_limits: bool = True) -> Solution:
+        return solve(
+            self.model,
+            written.reference,
+            self.state,
+            keep_response=self.keep_response,
+            enforce_limits=enforce_limits,
+        )
+
+    def _constrained(self, written: WrittenReference, free: Solution) -> Solution:
+        try:
+            return self._solve(written)
+        except SolverError:  # a warning will say where a limit is exceeded, and by how much
+            return free
 
     def _fit(self) -> bool:
         """Make the written part a whole number of segments by moves that are not near a cut; say whether they can."""
@@ -194,15 +213,15 @@ class ScaledSection:
         first_t = self.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
         return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
 
-    def _solved(self) -> Command:
-        """Solve on the plan as it stands."""
+    def _free(self) -> Command:
+        """Solve on the plan as it stands, without limits."""
         settings = self.model.settings
         written = self.extent.written(self.plan, self.section, settings)
         (offset,) = self.model.robust_offsets([written.reference])
         written.reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
             written.reference.calm(self._slower_segments(written.reference))
-        return written, solve(self.model, written.reference, self.state, keep_response=self.keep_response)
+        return written, self._solve(written, enforce_limits=False)
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
@@ -212,14 +231,21 @@ class ScaledSection:
         within = np.clip(t, self.section.begin_t, self.section.end_t - 1e-9)
         return np.asarray(slower[self.plan.move_at(within)])
 
-    def _violations(self, written: WrittenReference, solution: Solution) -> list[Violation]:
-        """List the violations in the written part of a command; its own only where its path has none that may go."""
-        utilisation, reference = utilisation_from_rest(solution.vertices, self.model.limits)[1:-1], written.reference
-        by_path = _among(path_violations(self._path_utilisation(reference), utilisation), written)
-        if any(each.limit == TRAVEL or not self._fixed[self._touched(reference, each)].all() for each in by_path):
-            return by_path
-        late = late_segments(self.model, written, solution.vertices, self._event_times)
-        return _among(command_violations(utilisation), written) + _among(timing_violations(late), written)
+    def _attempt(self, tolerance_mm: float, command: Command) -> tuple[WrittenReference, Solution, list[Violation]]:
+        """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
+        model, (written, solution) = self.model, command
+        utilisation = utilisation_from_rest(solution.vertices, model.limits)[1:-1]
+        violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
+        if violations:
+            return written, solution, violations
+        if not peak_utilisation(model, written, solution) <= 1.0:  # nor where it is not a number
+            try:
+                solution = self._solve(written)
+            except SolverError:  # no command keeps the limits
+                return written, solution, _among(command_violations(utilisation), written)
+            violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
+        late = late_segments(model, written, solution.vertices, self._event_times)
+        return written, solution, violations + _among(timing_violations(late), written)
 
     @property
     def _event_times(self) -> FloatArray:
@@ -348,6 +374,14 @@ def after_events(program: Program, first: int, last: int) -> IntArray:
 def _among(violations: Iterator[Violation], written: WrittenReference) -> list[Violation]:
     """Return those that touch the written part."""
     return [each for each in violations if each.last >= written.first and each.first < written.last]
+
+
+def peak_utilisation(model: InverseModel, written: WrittenReference, solution: Solution) -> float:
+    """Return the peak demand over the limit, between the knots that are written."""
+    if (written.first, written.last) == (0, len(solution.vertices) - 1):
+        return solution.utilisation
+    inside = slice(written.first, written.last)
+    return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
 
 
 def late_segments(

@@ -13,7 +13,10 @@ from ffcomp.inverse.command_limits import (
     TOLERANCE,
     TRAVEL,
     VELOCITY,
+    CommandLimits,
+    utilisation_from_rest,
 )
+from ffcomp.inverse.solve import Solution
 from models.arrays import BoolArray, FloatArray
 
 TARGET_UTILISATION = 0.98  # of a limit, that a slowed move aims at
@@ -21,7 +24,7 @@ GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
 BINDING_UTILISATION = 0.85  # utilisation of a command above which its path is slowed
 COMMAND_REACH_KNOTS = 10  # knots between what a path demands and what its command demands because of it
 TIMING = len(NAMES)  # the kind of violation that is none of the carriages' limits
-EXCESS = 1e-3  # over a limit, that no further round is worth
+SOLVER_ACCURACY = 1e-3  # over a limit
 
 
 class Violation(NamedTuple):
@@ -51,13 +54,28 @@ def path_violations(path: FloatArray, command: FloatArray) -> Iterator[Violation
             yield Violation(first, last, limit, int(of_carriages.argmax()), worst, factor)
 
 
-def command_violations(utilisation: FloatArray) -> Iterator[Violation]:
-    """Yield where a command demands more than a limit; utilisation (n, 3, 3) of its segments."""
+def solution_violations(
+    solution: Solution, free: FloatArray, tolerance_mm: float, limits: CommandLimits
+) -> Iterator[Violation]:
+    """Yield where limits are kept at the cost of the path, or not kept.
+
+    free : (n, 3, 3), the utilisation by the command without limits
+    """
+    left = utilisation_from_rest(solution.vertices, limits)[1:-1]
+    for window in solution.constrained:
+        inside = slice(window.first, window.last + 1)
+        if window.error_mm <= tolerance_mm and not (left[inside] > 1.0 + SOLVER_ACCURACY).any():
+            continue
+        yield from command_violations(np.maximum(free[inside], left[inside]), window.first)
+
+
+def command_violations(utilisation: FloatArray, first_segment: int = 0) -> Iterator[Violation]:
+    """Yield where a command demands more than a limit; utilisation (n, 3, 3) of the segments from one on."""
     for first, last in _ranges(widened(np.any(utilisation > 1.0, axis=(1, 2)), 2)):
         inside = utilisation[first : last + 1]
         _, limit, carriage = np.unravel_index(inside.argmax(), inside.shape)
         worst = float(inside.max())
-        yield Violation(first, last, int(limit), int(carriage), worst, _factor(worst))
+        yield Violation(first_segment + first, first_segment + last, int(limit), int(carriage), worst, _factor(worst))
 
 
 def timing_violations(late: BoolArray) -> Iterator[Violation]:

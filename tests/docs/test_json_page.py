@@ -85,7 +85,7 @@ def test_compensate(page: Page, folder: Path) -> None:
         *told("compensate", small, *MACHINE, "-q", "--dry-run"),
         *told("compensate", out, *MACHINE, "-q"),
         *told("compensate", small, *MACHINE, "-q", *steps),
-        *told("compensate", small, "-m", weak, "-q", "-o", folder / "slow.gcode"),
+        *told("compensate", small, "-m", weak, "-q", "--tolerance-um", "0.1", "-o", folder / "slow.gcode"),
         *told(
             "compensate",
             small,

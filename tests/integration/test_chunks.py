@@ -191,19 +191,16 @@ def test_no_chunk_holds_more_than_some_minutes(machine: Machine, data: bytes) ->
 
 def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """On both sides of a cut, and at the cut: velocities, and accelerations from segment to segment."""
-    monkeypatch.setattr(
-        "ffcomp.compensation.chunks.LONGEST_S", 12.0
-    )  # a slower motion still has another knot to be cut at
+    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
-    data = vase(1700, 4800.0)
+    data = vase(1150, 4800.0)
     text, result = compensated(data, tight, flavor=KLIPPER, predict=False)
     assert original(text) == data and violations(data, text, tight, flavor=KLIPPER) == []
     done, planned = result.statistics, plan_program(read_program(data, flavor=KLIPPER), machine)
     assert done.warnings == ()  # nowhere is more than a limit asked for
     assert done.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
-    lost_s = done.print_time_s - done.original_print_time_s - done.settling_s
-    assert 0.005 < lost_s / done.original_print_time_s < 0.035
-    assert {record.layer for record in done.slowed} == set(range(10))
+    assert 0.1 < done.print_time_s - done.original_print_time_s - done.settling_s < 0.4
+    assert {record.layer for record in done.slowed} == set(range(7))
 
 
 def test_no_filament_is_lost_where_whole_steps_move_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,7 @@ def test_names_stand_whole_in_80_columns(path: tuple[str, ...]) -> None:
         ("compensate a.gcode", "--machine is missing"),
         ("compensate a.gcode -m kossel --fo", "--fo. Did you mean --force?"),
         ("compensate a.gcode -m kossel --jobs two", '"two"'),
-        ("compensate a.gcode -m kossel --max-speed-mm-per-s 0", "--max-speed-mm-per-s 0: it must be at least 1"),
+        ("compensate a.gcode -m kossel --tolerance-um 0", "--tolerance-um 0: it must be at least 0.1"),
         ("nothing", '"nothing"'),
     ],
 )

@@ -11,8 +11,8 @@ from ffcomp.errors import RequestError
 
 
 def test_a_text_is_read_where_a_number_belongs() -> None:
-    read = CompensateRequest("a.gcode", "kossel", max_error_um="60", max_speed_mm_per_s="5")  # type: ignore[arg-type]
-    assert (read.errors_um, read.max_speed_mm_per_s) == ({"": 60.0}, 5.0)
+    read = CompensateRequest("a.gcode", "kossel", max_error_um="60", tolerance_um="5")  # type: ignore[arg-type]
+    assert (read.errors_um, read.tolerance_um) == ({"": 60.0}, 5.0)
 
 
 @pytest.mark.parametrize(
@@ -23,10 +23,10 @@ def test_a_text_is_read_where_a_number_belongs() -> None:
         ({"max_error_um": {"Bridge": 10.0}}, "without a feature"),
         ({"inverse": "none"}, "--inverse none"),
         ({"inverse": "quick"}, "there is no 'quick'"),
-        ({"max_error_um": 1.0, "max_speed_mm_per_s": 0.5}, "at least 1"),
+        ({"tolerance_um": 0.0}, "at least 0.1 µm"),
         ({"safety": 0.6}, "0.001 to 0.5"),
         ({"max_error_um": "sixty"}, "it is a number of µm"),
-        ({"max_speed_mm_per_s": "fine"}, "it is a number"),
+        ({"tolerance_um": "fine"}, "it is a number"),
         ({"jobs": 0}, "at least 1"),
     ],
 )

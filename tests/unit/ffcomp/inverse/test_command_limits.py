@@ -1,13 +1,15 @@
-"""What a command demands of the carriages, against dense sampling."""
+"""What a command asks of the carriages, against dense sampling; the programme that holds it, against cvxpy."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ffcomp.errors import SolverError
 from ffcomp.inverse.command_limits import (
     ACCELERATION,
     TRAVEL,
@@ -16,6 +18,7 @@ from ffcomp.inverse.command_limits import (
     peak_utilisation,
     utilisation_from_rest,
 )
+from ffcomp.inverse.qp import constrained_step
 from models.file import load_machine
 from models.machine import Machine
 
@@ -83,3 +86,50 @@ def test_shares_name_the_limit_that_binds(machine: Machine) -> None:
     height = machine.kinematics.compiled().inverse(np.array([[0, 0, 0.9]]))[0, 0]
     np.testing.assert_allclose(shares[3, TRAVEL], np.abs(height - 250) / 150, atol=1e-9)
     assert peak_utilisation(up, limits) == shares.max() == pytest.approx(125 / S / 2e4)
+
+
+def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
+    """Velocity, acceleration and travel at once, at the ends of every segment."""
+    rng = np.random.default_rng(5)
+    n, delta = 12, machine.kinematics.compiled()
+    start = delta.inverse(np.array([[20.0, -30, 5]]))
+    command = start + np.cumsum(np.cumsum(rng.normal(0, 0.02, (n + 4, 3)), axis=0), axis=0)
+    a = rng.normal(size=(60, 3 * n))
+    hessian, gradient = a.T @ a, rng.normal(size=3 * n) * 40
+    top = float(command.max()) + 0.2
+    limits = replace(
+        CommandLimits.of(machine, S),
+        velocity_mm_per_s=np.full(3, 125.0),
+        acceleration_mm_per_s2=9000.0,
+        travel_mm=(0.0, top),
+    )
+    tried = command.copy()
+    tried[2:-2] += np.linalg.solve(hessian, gradient).reshape(-1, 3)
+    assert (limits.demand(delta.forward(tried)).utilisation(limits).max(axis=(0, 2)) > 1.0).sum() >= 2  # limits bind
+    step = constrained_step(hessian, gradient, command, command, limits, delta)
+
+    d = cp.Variable((n, 3))
+    u = cp.vstack([command[:2], command[2:-2] + d, command[-2:]])
+    margin = 1.0 - 2e-3
+    held = [
+        cp.abs(u[1:] - u[:-1]) / S <= margin * 125.0,
+        cp.abs(u[2:] - 2 * u[1:-1] + u[:-2]) / S**2 <= margin * 9000.0,
+        u[2:-2] <= top - 1e-3,
+    ]
+    flat = cp.reshape(d, (3 * n,), order="C")
+    cp.Problem(cp.Minimize(0.5 * cp.sum_squares(a @ flat) - gradient @ flat), held).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(step.reshape(-1, 3), d.value, atol=2e-3)  # straight carriages are not straight lines
+    tried[2:-2] = command[2:-2] + step.reshape(-1, 3)
+    assert (
+        limits.demand(delta.forward(tried)).utilisation(limits).max() <= 1.002
+    )  # a step of mm changes what o and c are
+
+
+def test_given_knots_that_leave_no_room_are_an_error(machine: Machine) -> None:
+    delta = machine.kinematics.compiled()
+    command = np.repeat(delta.inverse(np.zeros((1, 3))), 6, axis=0)
+    command[3:] += 50.0  # two unknown knots for a jump of 50 mm
+    flat = np.repeat(command[:1], 6, axis=0)
+    limits = replace(CommandLimits.of(machine, S), velocity_mm_per_s=np.full(3, 100.0))
+    with pytest.raises(SolverError, match="6 unknowns"):
+        constrained_step(np.eye(6), np.zeros(6), command, flat, limits, delta)

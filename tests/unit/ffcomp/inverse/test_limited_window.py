@@ -1,12 +1,15 @@
-"""The exact windows that the inverse is tested with, against brute force and a second solver."""
+"""Windows and their limits against brute force, closed forms and a second solver."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import cvxpy as cp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings
@@ -22,7 +25,8 @@ from tests.support.exact_inverse import FreeWindow, next_window, solve_exactly
 
 FloatArray = NDArray[np.float64]
 
-SETTINGS = Settings()
+SETTINGS = Settings(corrections=0)  # the bare least squares
+USUAL = Settings()
 CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"
 
 
@@ -48,8 +52,7 @@ def reference_of(
 
 def window_of(inverter: InverseModel, reference: Reference) -> FreeWindow:
     run = Iterate(inverter, reference)
-    state = inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0])
-    return next_window(run, 0, state, corrections=0)  # the bare least squares
+    return next_window(run, 0, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]))
 
 
 def simulated(models: tuple[FloatArray, ...], rows: int, command: FloatArray) -> FloatArray:
@@ -102,14 +105,49 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machi
 
 @pytest.mark.parametrize("exact", [True, False])
 def test_the_response_is_the_path(machine: Machine, exact: bool) -> None:
-    inverter = InverseModel(machine, SETTINGS)
-    reference = reference_of(CORNER, machine, SETTINGS)
+    inverter = InverseModel(machine, USUAL)
+    reference = reference_of(CORNER, machine, USUAL)
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     solved = solve_exactly(inverter, reference, state) if exact else None
     result = solved or solve(inverter, reference, state, keep_response=True)
     nozzle, velocity = reference.substeps(0, reference.knots)
-    plain, _ = inverter.plant.respond(nozzle, velocity, state, SETTINGS.substeps)
+    plain, _ = inverter.plant.respond(nozzle, velocity, state, USUAL.substeps)
     error = np.sqrt(np.mean(np.sum((result.response - nozzle[1:]) ** 2, axis=1)))
     without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
     assert error < without / 60
-    assert result.utilisation < 1.0
+    assert result.utilisation < 1.0 and len(result.constrained) == 0
+
+
+@pytest.mark.parametrize("limit", [ACCELERATION, VELOCITY, TRAVEL])
+def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: int) -> None:
+    """The free answer asks for more than the plan; half of that is allowed, and no more is taken at any instant."""
+    late_s = 0.006 if limit == VELOCITY else 0.004  # a late start asks for much
+    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=late_s)
+    state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
+    gcode = {VELOCITY: b"G1 X-20 Y0 Z20 F9000\n", TRAVEL: b"G1 X-50 Y20 F9000\n"}.get(limit, CORNER)
+    reference = reference_of(gcode, machine, settings)
+    inverter = InverseModel(machine, settings)
+    free = solve(inverter, reference, state, enforce_limits=False)
+    plan = reference.at_knots(np.arange(reference.knots + 1))
+    asked, given = (utilisation_from_rest(v, inverter.limits) for v in (free.vertices, plan))
+    own = machine.limits
+    if limit == TRAVEL:
+        highest = [float(inverter.kinematics.inverse(v).max()) for v in (free.vertices, plan)]
+        assert highest[0] > highest[1] + 4e-4, "the free answer must go beyond the plan, or this tests nothing"
+        bound = replace(own, carriage_travel_mm=(0.0, 0.5 * sum(highest)))
+    else:
+        most = [float(shares[:, limit].max()) for shares in (asked, given)]
+        assert most[0] > 1.002 * most[1], "the free answer must ask for more than the plan, or this tests nothing"
+        share = 0.5 * sum(most)
+        names = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2")
+        bound = replace(own, **{names[limit]: share * getattr(own, names[limit])})
+    held_inverter = InverseModel(replace(machine, limits=bound), settings)
+    held = solve(held_inverter, reference, state, keep_response=True)
+    assert len(held.constrained) > 0 and held.constrained
+    assert peak_utilisation(free.vertices, held_inverter.limits) > 1.0
+    assert held.utilisation <= 1.0
+    nozzle, _ = reference.substeps(0, reference.knots)
+    assert np.abs(held.response - nozzle[1:]).max() < 0.1  # it still follows
+    again = solve(held_inverter, reference, state, enforce_limits=False)
+    assert len(again.constrained) == 0
+    np.testing.assert_array_equal(again.vertices, free.vertices)
