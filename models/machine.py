@@ -224,8 +224,8 @@ def assumed_modes(machine: Machine) -> str | None:
     name = Path(machine.path).stem or machine.name
     part = "" if len(assumed) == len(keys) else f" in part ({', '.join(assumed)})"
     return (
-        f"The modes of {name} are assumed{part}, not measured, so the effect on your printer is unknown: "
-        "measure them with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
+        f"The modes of {name} are assumed{part}, not measured, so the effect on your printer is unknown. "
+        "Measure them with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
     )
 
 
