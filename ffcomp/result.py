@@ -19,8 +19,6 @@ from gcode.atomic_write import replace_atomically
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ffcomp.report.page import Page
-
 Fact = tuple[str, str]  # a name and a value with its unit
 
 
@@ -130,15 +128,12 @@ class Result:
     @missing_extras_explained()
     def write_figure(self, path: str | Path, name: str = "", **options: Any) -> None:
         """Write a figure of `plot`; the suffix of the path names the format."""
-        from ffcomp.report.drawing import write_figure
-
-        write_figure(self.plot(name, **options), Path(path))
+        named("ffcomp.report.drawing:write_figure")(self.plot(name, **options), Path(path))
 
     @missing_extras_explained()
     def write_report(self, path: str | Path) -> None:
         """Write the answer and its figures as one HTML page that opens offline."""
-        page: Page = named(self.page_by)(self)
-        replace_atomically(Path(path), [page.html(self.answer)])
+        replace_atomically(Path(path), [named(self.page_by)(self).html(self.answer)])
 
     def details(self) -> dict[str, Any]:
         """Return the keys of the JSON object that are this verb's own, `schema` first."""

@@ -15,8 +15,6 @@ from ffcomp.request import OUTPUT, Argument, Option, Request
 from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ffcomp.simulation.forecast import Forecast
     from models.machine import Machine
 
@@ -98,13 +96,13 @@ class ShowResult(Result):
     gcode_preview: Path | None
     forecast: Forecast
     kept: bool  # in the file; False: computed
-    figure: Figure
+    figure: Any
 
     def figures(self) -> Sequence[str]:
         """Return the name of its picture."""
         return ("paths",)
 
-    def plot(self, name: str = "", **options: Any) -> Figure:
+    def plot(self, name: str = "", **options: Any) -> Any:
         """Return the picture."""
         return self.figure
 

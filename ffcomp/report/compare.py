@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ffcomp.api.comparison import MethodComparison
 from ffcomp.comparison.result import Comparison, EqualQuality, Error, Family, Method
 from ffcomp.comparison.words import (
     clipped,
@@ -235,7 +234,13 @@ def _rows(axes: Axes, comparison: Comparison, methods: Sequence[Method]) -> None
 # ---- the page ------------------------------------------------------------------------------------
 
 
-def page_of(result: MethodComparison) -> Page:
+class Compared(Protocol):
+    """The answer that is shown."""
+
+    comparison: Comparison
+
+
+def page_of(result: Compared) -> Page:
     """Return the page of a comparison."""
     comparison = result.comparison
     about = [f"machine {comparison.machine.name}", f"evaluated on {comparison.plant.name}"]

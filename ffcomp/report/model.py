@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from textwrap import fill
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib
 import numpy as np
@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ffcomp.api.responses import FrequencyResponses
 from ffcomp.identification.frf_study import Station, Study, verdict
 from ffcomp.identification.predict import phases_deg
 from ffcomp.report.drawing import RC, SOFT, grid, layout, plain_decades
@@ -23,7 +22,14 @@ UNCOUPLED = 1e-9  # of a station's largest response: less is rounding
 WIDTH, ROW, LINE, LETTERS = 7.2, 2.3, 0.17, 88  # inches: readable on a phone, a response, a line of text; its letters
 
 
-def figure_of(responses: FrequencyResponses, full: bool = False) -> Figure:
+class Responses(Protocol):
+    """The answer that is drawn."""
+
+    study: Study
+    full: bool  # all nine responses, not only the diagonal
+
+
+def figure_of(responses: Responses, full: bool = False) -> Figure:
     """Draw all nine responses, or only the diagonal."""
     return bode_figure(responses.study, full or responses.full)
 
