@@ -218,7 +218,7 @@ def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
 
 
 def _any_determined(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the intervals that are told leave any number of the effect less than its whole range."""
+    """Tell whether any number of the effect has an interval narrower than its range."""
     numbers = [n for n in h.effect_parameters if n.low < n.high]
     intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
     return not numbers or len(undetermined(h, intervals)) < len(numbers)

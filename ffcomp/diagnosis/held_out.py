@@ -35,7 +35,7 @@ class HeldOut:
     rows: int
     before: float  # with the machine's parameters retuned at the other positions
     after: float  # with the effects as well
-    filed: float = np.inf  # with the file as it is
+    filed: float = np.inf  # with the original file
     signal: float = np.inf  # with nothing simulated at all
     power: tuple[float, ...] = ()  # in the band: of the error with the file as it is, with the effects; of the signals
 

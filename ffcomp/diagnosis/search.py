@@ -368,7 +368,7 @@ def _mapped(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
 
 
 def _placed(start: Hypothesis, h: Hypothesis) -> list[FloatArray]:
-    """Return the z (p,) at which the numbers that a form adds may begin: sizes and shapes, on a grid."""
+    """Return starts z (p,) for the new numbers of a form: sizes and shapes, on a grid."""
     new = [i for i, n in enumerate(start.fit.parameters) if carried_over(h.fit.values, n.name) is None]
     sizes = {n.name for c in start.effects for n in c.amplitudes}
     amplitudes = [i for i in new if start.fit.parameters[i].name in sizes]

@@ -12,8 +12,8 @@ is a linear-quadratic regulator: e* = −K z, by the Riccati equation backwards 
 of the whole steps around the command and e* the ones are taken whose distance from e* costs least. (The optimal noise
 shaper for a plant: D. E. Quevedo & G. C. Goodwin, IEEE Trans. Automatic Control 50 (2005) 1184-1196.)
 
-An end is due when the command passes its place, not at its own old time: then only its miss beside the command is left
-in e.
+An end is due when the command passes its place, not at its own old time: then e holds only its distance from the
+command.
 
 The choice is a quantiser with feedback: a command that is 0.1 µm off (windows at limits lie elsewhere where a motion is
 cut) gets other steps until the next beginning, ends of segments up to 65 µm away, and the nozzle's error is as large.

@@ -284,7 +284,7 @@ def machine_unknowns(machine: Machine) -> list[Number]:
     for name in names:
         stem = name.partition("[")[0]
         spread = sd.get(name) or machine.uncertainty.get(name, machine.uncertainty.get(stem, default))
-        wide = 2.0 if "damping" in name else 1.0  # nobody knows damping better
+        wide = 2.0 if "damping" in name else 1.0  # damping is known half as well
         if value_of(machine, name):
             unknowns.append(Number(name, value_of(machine, name), float(np.clip(wide * spread, LEAST_SD, MOST_SD))))
     return unknowns

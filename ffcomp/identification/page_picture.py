@@ -35,7 +35,7 @@ ONE_SIZE, SIZE_STEP, APART = (0.7, 1.45), 1.3, 1.7  # radii and distances of dis
 NEAR_AFFINE_MM, NEAR_MM, MOST_MISFIT_MM = 9.0, 1.2, 0.2  # from a disc's place: of an affine map; a perspective; the fit
 LEAST_TRIANGLE_MM2, LEAST_UPRIGHT, MOST_MAPS = 600.0, 0.33, 3  # no needles; no map that stretches more than 2.6 to 1
 LEAST_SHARE = 0.7  # of the discs that lie inside the picture
-LEAST_STANDARD_ERRORS = 4.0  # by which slow lines are darker than the paper beside them
+LEAST_STANDARD_ERRORS = 4.0  # contrast of slow lines to the paper beside them
 
 RETAKE = "Take it again, straight from above, with all discs in it, in even light without flash"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -155,17 +155,7 @@ def amplitude(
     return Parameter(name, unit, meaning, bounds, typical, probe, size, **more)
 
 
-def shape(
-    name: str,
-    meaning: str,
-    bounds: tuple[float, float],
-    typical: tuple[float, float],
-    step: float,
-    size: Size = "scalar",
-    **more: Any,
-) -> Parameter:
-    """Declare a shape, as `amplitude` does an amplitude."""
-    return amplitude(name, meaning, bounds, typical, step, size, role="shape", **more)
+shape = partial(amplitude, role="shape")  # declares a shape in the same way
 
 
 AT_DRIVE = shape(
