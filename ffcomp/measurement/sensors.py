@@ -26,6 +26,7 @@ _CLIPPED_TIMES = 10  # as many at the extreme as on the levels next to it
 _LEAST_LEVELS = 24  # a signal of fewer levels touches its extremes anyway
 _LARGEST_MEAN = 2.0  # m/s²: from rest to rest the mean is zero, and sensors' zeros are off by up to half of this
 _PLAUSIBLE_GAIN = (0.3, 30.0)  # of acceleration against the command's, at low frequency (rows of J: 0.6 to 2)
+_NEAR_UNIT = 2.0  # times: how far off another unit's factor a gain may be, by J
 _SCALE_BAND_HZ = 20.0  # far below the first mode, where the machine follows its command
 _SINGULAR = 0.05  # of the largest singular value: below, commands move in proportion
 _SCALE_R2 = 0.5  # of the sensor explained by the command, before the gain means anything
@@ -142,10 +143,16 @@ def _gain(measured: FloatArray, basis: FloatArray, lowest: float) -> float | Non
 def _too_large(name: str, gain: float) -> str:
     unit = _unit_of(gain)
     factor = _UNITS[unit]
+    found = f"below {_SCALE_BAND_HZ:g} Hz it is {gain:.3g} times the acceleration commanded, where about 1 is right"
+    if not 1 / _NEAR_UNIT < gain / factor < _NEAR_UNIT:
+        return (
+            f"Column {name}_m_per_s2 does not follow its command: {found}, and no other unit explains that. Check the "
+            "sensor's range (it may clip), its axes and its mounting."
+        )
     looks = f"{factor:.4g} times too large" if factor > 1 else f"{1 / factor:.3g} times too small"
     return (
-        f"Column {name}_m_per_s2 looks {looks}, as if it were in {unit}, not in m/s²: below {_SCALE_BAND_HZ:g} Hz it "
-        f"is {gain:.3g} times the acceleration commanded, where about 1 is right. Multiply it by {1 / factor:.6g}."
+        f"Column {name}_m_per_s2 looks {looks}, as if it were in {unit}, not in m/s²: {found}. Multiply it by "
+        f"{1 / factor:.6g}."
     )
 
 

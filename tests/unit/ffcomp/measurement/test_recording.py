@@ -112,6 +112,10 @@ def in_mm(columns: Columns) -> None:
     columns["acc_B_m_per_s2"] *= 1000
 
 
+def weak(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"] *= 0.25
+
+
 def infinite(columns: Columns) -> None:
     columns["acc_B_m_per_s2"][4] = np.inf
 
@@ -134,6 +138,7 @@ def infinite(columns: Columns) -> None:
         (clipped, "Column acc_B_m_per_s2 stands at its lowest value -1.1 in "),
         (in_g, "Column acc_B_m_per_s2 looks 9.81 times too small, as if it were in g, not in m/s²"),
         (in_mm, "Column acc_B_m_per_s2 looks 1000 times too large, as if it were in mm/s², not in m/s²"),
+        (weak, "Column acc_B_m_per_s2 does not follow its command: below 20 Hz it is 0.2"),
         (infinite, "row 6, column acc_B_m_per_s2: inf"),
     ],
 )
