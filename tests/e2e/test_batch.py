@@ -124,27 +124,6 @@ def test_nothing_is_overwritten_by_accident(prints: list[Path], tmp_path: Path) 
         targets_in(other, [first, second])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (["b.gcode", "c.gcode", "-o", "out.gcode"], 2, "-o is for one file"),
-        (["b.gcode", "--output-dir", "."], 2, "would be overwritten"),
-        (["b.gcode", "b.gcode"], 2, "would both be written"),
-        (["b.gcode", "c.gcode", "--scheduler", "nowhere"], 1, "There is no Dask scheduler at nowhere"),
-    ],
-)
-def test_what_is_wrongly_asked_for_is_a_sentence(
-    prints: list[Path], tmp_path: Path, arguments: list[str], code: int, words: str
-) -> None:
-    if "--scheduler" in arguments:
-        pytest.importorskip("distributed", reason="The cluster's tests need Dask: pip install 'ffcomp[dask]'.")
-    before = {path: path.read_bytes() for path in prints}
-    answer = compensate(*arguments, cwd=tmp_path)
-    assert answer.exit_code == code, answer.stderr
-    assert words in " ".join(answer.stderr.replace("│", " ").split()) and "Traceback" not in answer.stderr
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
 @dataclass(frozen=True)
 class Poisoned(Options):
     """Options under which some files end the process that works at them, or find a fault in ffcomp."""

@@ -76,22 +76,6 @@ def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> 
     assert judged.exit_code == 0, judged.output
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--kind", "steps"), "extruder_steps_per_mm"),
-        (("--kind", "hex"), '"gcode", "steps", "klipper-steps", "host"'),
-        (("--inverse", "none"), "use it with --kind steps"),
-        (("--inverse", "slow"), '"fast", "none"'),
-    ],
-)
-def test_what_cannot_be_is_refused_with_the_rule(printed: Path, words: tuple[str, ...], said: str) -> None:
-    before = printed.read_bytes()
-    refused = call(printed, "-m", MACHINE, *words)
-    assert refused.exit_code == 2 and said in " ".join(refused.output.replace("│", " ").split())
-    assert printed.read_bytes() == before
-
-
 def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
     machine = weak(tmp_path, "step_rate_hz = 4000.0")  # 50 mm/s of a carriage
     before = printed.read_bytes()

@@ -67,21 +67,6 @@ def test_an_upload_that_meets_the_end_of_the_disk_leaves_nothing(disk: Path, pag
     uploaded(page, "a.gcode", WIGGLE)
 
 
-def test_work_is_refused_while_it_is_full_and_taken_afterwards(
-    disk: Path, page: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The file that has come in stays, so that nobody has to drop it twice."""
-    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
-    file = uploaded(page, "a.gcode", WIGGLE)
-    other = fill(disk)
-    answer = page.post("/api/jobs", json={"kind": "compensate", "files": [file], "machine": "kossel"})
-    assert answer.status_code == 507 and "disk is full" in answer.json()["error"]
-    assert page.get("/api/state").json()["jobs"] == []
-    other.unlink()
-    job = wait_for(page, started(page, "compensate", [file], machine="kossel"))
-    assert job["state"] == "done", job["error"]
-
-
 def test_a_job_that_meets_the_end_fails_with_a_sentence_and_runs_again(
     disk: Path, page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,22 +132,3 @@ def test_tables_two_and_three_of_the_paper() -> None:
     elsewhere = [r for r in responses if r.position_mm != PLACES[0]]
     cells = [error_reduction(r.value, predicted(found, [r])[0], centre[r.input], 1.0) for r in elsewhere]
     assert np.min(cells) > 0  # the paper's worst: -19.8
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        ("", "empty"),
-        ("frequency_hz,real,imag\n1,nan,0\n2,1,0\n", "numbers are missing"),
-        ("frequency_hz,real\n1,1\n2,1\n", "imag"),
-        ("t_s,cmd_A_mm\n0,1\n", "cmd_B"),
-        ("hello world\n1 2\n", "first line must be"),
-    ],
-)
-def test_what_cannot_be_used_is_said_with_the_file(tmp_path: Path, content: str, sentence: str) -> None:
-    bad = tmp_path / "bad.csv"
-    bad.write_text(content, encoding="utf-8")
-    answer = call("fit", bad, "-m", "kossel", "-o", tmp_path / "out.toml")
-    assert answer.exit_code == 5, answer.output
-    assert "bad.csv" in answer.output and sentence in answer.output.lower().replace("cmd_b", "cmd_B")
-    assert not (tmp_path / "out.toml").exists()

@@ -370,10 +370,3 @@ def test_install_puts_a_wrapper_where_cura_looks(tmp_path: Path, monkeypatch: py
     target = tmp_path / "cura" / "5.10" / "scripts" / "Ffcomp.py"
     assert answer.exit_code == 0 and answer.stdout == f"{target}\n"
     assert '\nMACHINE = "kossel"\n' in target.read_text(encoding="utf-8")
-
-
-def test_what_cannot_be_installed_is_said() -> None:
-    for name, why in (("octoprint", "no wrapper"), ("repetier", "not one of")):
-        answer = CliRunner().invoke(app, ["install", name])
-        assert answer.exit_code == 2 and why in answer.stderr
-    assert {line.split()[0] for line in CliRunner().invoke(app, ["list"]).stdout.splitlines()} == set(RECIPES)

@@ -60,12 +60,6 @@ def test_captures_need_the_plan_of_their_gcode(tmp_path: Path) -> None:
     assert done.exit_code == 2 and "give the file written with it" in done.output
 
 
-def test_a_check_wants_captures_with_a_plan_or_a_file_to_write(tmp_path: Path) -> None:
-    assert ffcomp("record", "check", "-m", "ender-3").exit_code == 2
-    assert ffcomp("record", "check", "a.csv", "-m", "ender-3", "-o", tmp_path / "c.gcode").exit_code == 2
-    assert ffcomp("record", "check", "a.csv", "-m", "ender-3").exit_code == 2
-
-
 def test_a_damaged_history_stays_as_it_is(tmp_path: Path) -> None:
     assert ffcomp("record", "check", "-m", "ender-3", "-o", tmp_path / "check.gcode").exit_code == 0
     history = tmp_path / "checks.jsonl"

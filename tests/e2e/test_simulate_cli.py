@@ -160,32 +160,6 @@ def test_an_interruption_leaves_nothing_half_written(square: Path, tmp_path: Pat
 # ---- what goes wrong -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("options", "code"),
-    [
-        (["--rate", "nan"], 2),
-        (["--rate", "-1600"], 2),
-        (["--rate", "100000"], 2),
-        (["--from", "2", "--to", "1"], 2),
-        (["--from", "nan"], 2),
-        (["--signals", "acc,vel"], 2),
-        (["-o", "{file}"], 2),
-        (["-o", "{folder}/no such folder/run.csv"], 2),
-        (["--from", "1e6"], 3),
-        (["--from", "0.5", "--to", "0.501"], 3),
-        (["--plant", "kossel"], 5),
-        (["--plant", "nobody-has-this"], 5),
-        (["--plant", "{weak}"], 5),
-    ],
-)
-def test_what_cannot_be_done_is_said_in_a_sentence(options: list[str], code: int, square: Path, tmp_path: Path) -> None:
-    weak = with_table(tmp_path, "weak", "\n[effects.torque_angle]\namplitude_mm = 0.001\n")
-    places = {"file": square, "folder": tmp_path, "weak": weak}
-    answer = call("simulate", square, "-m", "mp-delta-pro", *(option.format(**places) for option in options))
-    assert answer.exit_code == code, answer.output
-    assert "Traceback" not in answer.output and square.read_bytes() == SQUARE
-
-
 GAIN = "\n[effects.sensor_gain]\ncarriage_relative_change = 0.05\nnozzle_relative_change = [0.0, 0.1, 0.0]\n"
 
 

@@ -1,4 +1,4 @@
-"""The generator of the blind test, and a handful of its cases through the public verb. The full bank: benchmarks."""
+"""The generator of the blind test, and one of its cases through the public verb. The full bank: benchmarks."""
 
 from __future__ import annotations
 
@@ -280,22 +280,13 @@ def test_the_score_of_known_verdicts() -> None:
     assert table["a pair"] == {"2 right, 0 wrong": 1, "1 right, 0 wrong": 1}
 
 
-# ---- a handful of cases, through the public verb --------------------------------------------------
-
-SMOKE = {  # a delta's effects take a minute each: they are in the full bank
-    "exact-file:none": ("none", ()),
-    "axis:bristle_friction": ("effects", ("bristle_friction",)),
-}
+# ---- a case, through the public verb ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stratum", SMOKE)
-def test_smoke(stratum: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Short runs: two motions of 0.8 s."""
-    folder = written(case(31, stratum, SECONDS, short=True), tmp_path)
+def test_smoke(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Short runs: two motions of 0.8 s; effects take up to a minute each: they are in the full bank."""
+    folder = written(case(31, "exact-file:none", SECONDS, short=True), tmp_path)
     runs = map(str, sorted((folder / "runs").iterdir()))
     run(app, ["diagnose", *runs, "-m", str(folder / "machine.toml"), "--json", "-q"])
     found = json.loads(capsys.readouterr().out)
-    verdict, names = SMOKE[stratum]
-    assert found["verdict"] == verdict
-    assert sorted(effect["name"] for effect in found["effects"]) == sorted(names)
-    assert not found["dominant"]
+    assert found["verdict"] == "none" and not found["effects"] and not found["dominant"]

@@ -18,18 +18,16 @@ import pytest
 
 from ffcomp.api.comparison import MethodComparison
 from ffcomp.comparison import words as parts
-from ffcomp.comparison.result import Comparison, Peaks, Samples
+from ffcomp.comparison.result import Comparison, Peaks
 from ffcomp.comparison.sentences import cautions, findings
-from tests.support.browser import Visit, chromium, visit
+from tests.support.browser import Visit, chromium, hard_to_read, visit
 from tests.support.comparison import (
     LAYERS,
     MACHINE,
     NASTY,
-    SIDE_N,
     changed,
     comparison,
     everything,
-    method,
     samples,
     whole_page,
 )
@@ -62,10 +60,6 @@ def test_limits_and_warnings_are_in_the_verdict() -> None:
     assert "Too fast here." in said
     assert "Beyond the limits of the carriages" in " ".join(verdict(changed(comparison(), "mzv", peaks=beyond)))
     assert "allows" not in " ".join(verdict(comparison()))
-
-
-def _cut(s: Samples, count: int) -> Samples:
-    return Samples(**{name: getattr(s, name)[:count] for name in Samples.__dataclass_fields__})
 
 
 # ---- figures and page ----------------------------------------------------------------------------
@@ -111,45 +105,6 @@ def test_text_from_files_is_escaped(nasty_page: Path) -> None:
     assert "alert(1)" in text and "<script>alert" not in text and "<img src=x" not in text
 
 
-def test_a_failed_report_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    target = tmp_path / "report.html"
-    target.write_text("old")
-    for failure in (KeyboardInterrupt, RuntimeError):
-
-        def stop(drawing: Any, failure: type[BaseException] = failure) -> bytes:
-            raise failure
-
-        monkeypatch.setattr("ffcomp.report.page.svg", stop)
-        with pytest.raises(failure):
-            MethodComparison(comparison()).write_report(target)
-        assert [path.name for path in tmp_path.iterdir()] == ["report.html"] and target.read_text() == "old"
-
-
-def _shortened(found: Comparison, count: int) -> Comparison:
-    for name, each in found.methods.items():
-        s = _cut(each.samples, count)
-        short = method(name, each.label, each.family, 0.0, samples=s)
-        found = changed(found, name, samples=s, by_layer=short.by_layer, by_feature=short.by_feature)
-    return replace(found, layers=found.layers[:1])
-
-
-def test_odd_comparisons_have_a_page_too(tmp_path: Path) -> None:
-    """A few samples; a print without plastic or error; our method alone as the best; no limits known."""
-    found = _shortened(comparison(limits={}), 12)
-    still = replace(samples(0.0), extruding=np.zeros(4 * LAYERS * SIDE_N, dtype=bool))
-    for name in found.methods if (dry := comparison(best_fixed="fbs-lpv")) else ():
-        dry = changed(dry, name, samples=still, **_numbers(still))
-    for k, odd in enumerate((found, dry)):
-        MethodComparison(odd).write_report(tmp_path / f"{k}.html")
-    text = (tmp_path / "1.html").read_text(encoding="utf-8")
-    assert "No plastic flows in the evaluated part" in text and "Errors, all moves" in text
-
-
-def _numbers(s: Samples) -> dict[str, Any]:
-    again = method("", "", "none", 0.0, samples=s)
-    return {name: getattr(again, name) for name in ("track", "extruding", "by_layer", "by_feature")}
-
-
 # ---- in a browser --------------------------------------------------------------------------------
 
 
@@ -163,10 +118,20 @@ def clean(seen: Visit) -> bool:
     return not seen.errors and not seen.requests
 
 
-def test_narrow_screens_need_no_sideways_scrolling(browser: Any, page: Path) -> None:
-    with visit(browser, page, 390, 800) as seen:
-        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
+@pytest.mark.parametrize("width", [1400, 390])
+def test_nothing_is_cut_with_every_table_open(browser: Any, page: Path, width: int) -> None:
+    with visit(browser, page, width, 900) as seen:
+        seen.page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+        assert seen.page.locator("img").count() == 7
         assert clean(seen), (seen.errors, seen.requests)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_are_readable(browser: Any, page: Path, scheme: str) -> None:
+    with visit(browser, page) as seen:
+        seen.page.emulate_media(color_scheme=scheme)
+        assert not hard_to_read(seen)
 
 
 def test_nothing_from_a_file_is_executed(browser: Any, nasty_page: Path) -> None:
