@@ -80,7 +80,6 @@ SLOW = (  # folders and files; single tests have the marker themselves
 FAST = (  # in slow folders: every package has a test in each quick run
     "e2e/test_estimate.py",
     "unit/ffcomp/check/test_history.py",
-    "unit/ffcomp/diagnosis/test_held_out.py",
     "unit/ffcomp/diagnosis/test_pitches.py",
     "unit/ffcomp/faster/test_predicted_error.py",
     "unit/ffcomp/record/test_motor_logs.py",

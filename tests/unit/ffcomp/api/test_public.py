@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import subprocess
 import sys
 from collections.abc import Callable
@@ -92,12 +91,3 @@ def test_frequency_responses_are_those_of_the_model() -> None:
 def test_what_cannot_be_used_is_a_sentence(call: Callable[[], object], sentence: str) -> None:
     with pytest.raises(RequestError, match=sentence):
         call()
-
-
-def test_signatures_and_objects_are_short_enough_to_read() -> None:
-    signature = inspect.signature(ffcomp.identify)
-    assert "Machine" in str(signature.parameters["machine"].annotation) and " at 0x" not in str(signature)
-    with pytest.raises(TypeError, match=r"identify\(\): got an unexpected keyword argument 'foo'"):
-        ffcomp.identify("x.csv", "mp-delta-pro", foo=1)  # type: ignore[call-arg]
-    assert len(repr(ffcomp.load_machine("mp-delta-pro"))) < 200
-    assert "Returns\n-------\nMachineFit\n" in str(ffcomp.identify.__doc__)

@@ -9,18 +9,8 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.common import quiet
-from ffcomp.cli.progress import Progress, SearchProgress
-from ffcomp.diagnosis.diagnosis import USUAL_S
-from ffcomp.numerics.stages import Now, Stage
+from ffcomp.cli.progress import Progress
 from ffcomp.serve.messages import progress as page_progress
-
-SAID = (Stage(3, "screening 21 effects"), Now("fitting effector_mass"), "effector_mass: 1.2 times the noise")
-
-
-def shown(hidden: bool) -> None:
-    with quiet(hidden), SearchProgress(USUAL_S) as progress:
-        for sentence in SAID:
-            progress(sentence)
 
 
 def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,31 +33,6 @@ def test_a_share_is_a_bar_on_a_terminal_and_lines_elsewhere(
     err = capsys.readouterr().err
     said = ("drawing", "50 %") if terminal else ("ffcomp: 10 %\n", "ffcomp: drawing …\n", "ffcomp: 50 %\n")
     assert all(each in err for each in said), err
-
-
-def test_on_a_terminal_there_is_a_bar_with_the_stage_and_what_is_tried(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    on_a_terminal(monkeypatch)
-    shown(hidden=False)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert f"3/{len(USUAL_S)}" in err and all(sentence in err for sentence in SAID)
-
-
-def test_the_time_left_is_said_in_round_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = 100.0
-    monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
-    shown = SearchProgress((10.0, 30.0))
-    assert shown.left() == ""
-    clock = 105.0
-    assert shown.left() == "about 35 s left"
-    clock = 100.0 + 43.0
-    shown(Stage(2, "the rest"))
-    assert shown.left() == "about 75 s left"
-    long = SearchProgress((500.0, 400.0))
-    clock += 20.0
-    assert long.left() == "about 15 min left"
 
 
 def test_programs_read_events(

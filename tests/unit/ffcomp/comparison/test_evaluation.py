@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour_numbers, evaluate, track
-from ffcomp.comparison.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from models.file import load_machine
 from tests.support.prints import squares
 
@@ -54,16 +54,3 @@ def test_what_swings_in_a_cruise_is_ringing(stretch: PrintSlice) -> None:
     error = np.zeros((len(t), 3))
     error[:, 2] = 0.01 * np.sin(2 * np.pi * 40.0 * t) + 0.3
     assert evaluate([played(stretch, error)]).residual_rms_um == pytest.approx(7.07, rel=0.05)
-
-
-def test_slices_are_put_together_and_labelled(stretch: PrintSlice) -> None:
-    once, twice = evaluate([played(stretch)]), evaluate([played(stretch), played(stretch)])
-    assert len(twice.samples.due) == 2 * len(once.samples.due)
-    assert twice.delay_s == pytest.approx(0.0, abs=1e-6)
-    s = once.samples
-    assert s.due[0] >= SETTLE_S
-    corners = np.abs(s.reference[:, :2]).max(axis=1)
-    outer = s.feature == 2  # External perimeter, at 20 mm
-    assert corners[outer & s.extruding].min() > 19.99
-    assert set(s.layer) == {0, 1, 2}
-    np.testing.assert_allclose(s.reference[s.extruding & (s.layer == 1), 2], 0.4)

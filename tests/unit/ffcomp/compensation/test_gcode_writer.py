@@ -131,17 +131,6 @@ def test_a_stop_comes_to_rest_on_the_path_and_the_limits_are_back() -> None:
     assert text[at + 1] == b"G1 Z5 F600"  # nobody knows where homing leaves the nozzle: the firmware plans this
 
 
-def test_older_klippers_get_accel_to_decel_and_back_what_the_print_had() -> None:
-    """Forks that do not know the cruise ratio, such as a Creality K1's, brake short segments without it."""
-    limits = b"SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=%d\nM204 S2000\n"
-    for own, back in ((b"", b"ACCEL_TO_DECEL="), (limits % 30, b"ACCEL=2000"), (limits % 30, b"ACCEL_TO_DECEL=30 ")):
-        out = compensated(START + own + b"G1 X30 Y20 F9000\nG28\n").splitlines()
-        opened, closed = (line for line in out if line.startswith(b"SET_VELOCITY_LIMIT V"))
-        words = dict(word.split(b"=") for word in opened.split()[1:5] + opened.split()[5:6])
-        assert words[b"ACCEL_TO_DECEL"] == words[b"ACCEL"] and words[b"MINIMUM_CRUISE_RATIO"] == b"0"
-        assert back in closed and b"MINIMUM_CRUISE_RATIO=0.5" in closed
-
-
 def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
     limits = b"M201 X500 Y600\nM203 X200 Y200\nM204 P800 T900\nM205 X8 Y8\nM201 X700 Y600\n"
     out = compensated(START + limits + b"G1 X30 Y20 F9000\nG28\n", flavor="marlin").splitlines()
@@ -219,15 +208,6 @@ def test_a_wipe_costs_no_time() -> None:
     assert float(pulled.sum()) == pytest.approx(-8.0, abs=0.05)
 
 
-def test_many_lifts_in_one_motion_slow_nothing_down() -> None:
-    """A lead screw's lifts may each be late, however many there are: 16 wipes of a nozzle on Bambu Lab's bed."""
-    wipe = "".join(f"G0 Z2 F20000\nG0 X125 Y{150 + k % 3}\nG0 Z.5\nG0 X131 F600\nG0 X124\n" for k in range(16))
-    data = f"G28\nG90\nM83\nG1 X100 Y150 Z2 F20000\n{wipe}".encode()
-    found = anywhere(data, load_machine("bambu-p1"), predict=False, flavor="marlin", offset=(0.0, 0.0))[1].statistics
-    assert not found.slowed
-    assert found.print_time_s < 1.02 * found.original_print_time_s  # 1.77 when they are slowed
-
-
 @pytest.mark.parametrize("flavor", ["klipper", "marlin"])
 def test_no_second_has_more_than_250_segments(flavor: str) -> None:
     """By the firmware's plan: with lines that cut segments, retractions, and limits of the file that hold on."""
@@ -249,21 +229,3 @@ def test_no_second_has_more_than_250_segments(flavor: str) -> None:
     begin_t = plan.start_t[ours]
     fullest = (np.searchsorted(begin_t, begin_t + 1.0) - np.arange(len(begin_t))).max()
     assert 230 < fullest <= 250
-
-
-def test_every_line_stands_at_its_filament_within_five_micrometres() -> None:
-    """M73 among them, whose text is another one afterwards; lines come close together and where the nozzle turns."""
-    lines = [b"M73 P%d R9\n", b";TYPE:%d\n", b"M106 S%d\n", b"M117 %d\n"]
-    moves = (b"G1 X%.3f Y%.3f E%.4f F4800\n" % (9 * np.cos(k / 7), 9 * np.sin(k / 5), 0.02 * k) for k in range(400))
-    body = b"".join(move + (lines[k // 3 % 4] % (k % 100) if k % 3 == 0 else b"") for k, move in enumerate(moves))
-    data = START + b"M82\nG92 E0\n" + body
-    before, after = (read_program(text) for text in (data, compensated(data)))
-
-    def places(program: Program) -> list[float]:
-        filament = np.concatenate([program.moves.start[:1, 3], program.moves.end[:, 3]])
-        chosen = (event for event in program.events if program.lines[event.line].startswith((b"M73", b";TY", b"M1")))
-        return [float(filament[event.move]) for event in chosen]
-
-    wanted, written = places(before), places(after)
-    assert len(wanted) == len(written) == 134
-    assert np.abs(np.subtract(wanted, written)).max() < 5e-3

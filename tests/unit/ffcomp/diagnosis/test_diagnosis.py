@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.candidates import effect_tables
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import better_file, result_of
@@ -70,23 +69,3 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
         plant, found.estimation.whiten, found.noise, PrinterProblem(machine, plant.recordings, ()).simulate({})
     ).total
     assert closed.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)  # the file says what the fit found
-
-
-def test_fitted_numbers_become_tables_of_a_machine_file() -> None:
-    tables = effect_tables(
-        {
-            "effects.coulomb_friction.force_n": 2.0,
-            "effects.torque_angle.amplitude_mm": 0.0,  # fitted as its inverse square: no effect
-            "effects.frame_mode.mass_kg": 0.05,
-            "effects.frame_mode.frequency_hz": 20.0,
-            "effects.frame_mode.damping_ratio": 0.03,
-            "effects.frame_mode.direction": np.pi / 2,
-            "effects.force_map.whole": 1.0,
-            "carriage.mass_kg": 0.2,
-        }
-    )
-    assert tables["coulomb_friction"] == {"force_n": 2.0}
-    assert "torque_angle" not in tables
-    assert tables["frame_mode"]["mass_kg"] == pytest.approx(20.0)
-    assert tables["frame_mode"]["direction"] == pytest.approx([0.0, 1.0])
-    assert tables["force_map"] == {}

@@ -17,14 +17,7 @@ from models.machine import Machine
 from tests.support import measured_axes
 from tests.support.measured_axes import DATA
 
-TRIED = (
-    "coulomb_friction",
-    "friction_by_direction",
-    "quadratic_drag",
-    "belt_hardening",
-    "bristle_friction",
-    "guide_damping",
-)
+TRIED = ("coulomb_friction", "belt_hardening", "guide_damping")
 
 
 def loaded(paths: list[Path]) -> tuple[Machine, list[AxisRun]]:

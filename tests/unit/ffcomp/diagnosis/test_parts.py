@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pytest
 
 from ffcomp.diagnosis.fit import EstimationProblem, derivatives
 from ffcomp.diagnosis.noise import NoiseFloor, whitener
-from ffcomp.diagnosis.observations import carriages_of
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
-from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
 
@@ -68,13 +65,3 @@ def recording_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Re
     q = np.repeat(load_machine("mp-delta-pro").kinematics.inverse(np.array([place])), len(t), axis=0)
     blank = {"acc_A": np.zeros(len(t))}
     return Recording(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})
-
-
-def test_a_run_of_another_machine_is_refused_with_where_and_why() -> None:
-    machine = load_machine("mp-delta-pro")
-    fine = recording_at((30.0, 20.0, 50.0))
-    np.testing.assert_array_equal(carriages_of(machine, fine), fine.command)
-    for lift, words in ((400.0, "print volume"), (np.array([0.0, 0.0, 900.0]), "arm")):
-        with pytest.raises(MeasurementError, match=words) as error:
-            carriages_of(machine, replace(fine, command=fine.command + lift))
-        assert "another machine" in str(error.value) and error.value.exit_code == 5

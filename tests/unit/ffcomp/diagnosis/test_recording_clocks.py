@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.noise import noise_from_repeats
-from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
+from ffcomp.diagnosis.problem import Observation, Repeats
 from ffcomp.diagnosis.problems import check_repeating
 from ffcomp.diagnosis.recording_clocks import (
     aligned,
     as_recorded,
     delay_parameters,
     repeats_of,
-    with_stated_clock,
 )
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
@@ -171,18 +170,3 @@ def test_signals_of_two_chips_are_on_two_clocks() -> None:
     assert named == [f"recording.x{clock}.{what}" for clock in ("", ".acc_y") for what in ("delay_s", "drift")]
     moved = as_recorded({"recording.x.acc_y.delay_s": 4e-4}, both[0], motion())
     np.testing.assert_allclose(moved, late, atol=1e-4)
-
-
-def test_what_is_late_on_the_firmwares_clock_is_the_machine() -> None:
-    """No chip can tell its own clock from a machine that is late; a capture that the firmware dates can."""
-
-    def candidate(name: str) -> Candidate:
-        return Candidate(name, (Parameter(f"effects.{name}.size", 0.0, 1e-2),), {f"effects.{name}.size": 1e-4})
-
-    def widths(*recordings: Recording) -> list[float]:
-        named = (candidate(n) for n in ("sensor_time_offset", "command_delay"))
-        return [with_stated_clock(each, recordings).amplitudes[0].sd for each in named]
-
-    dated, logged = recording(delay_sd_s="3e-4"), recording(delay_sd_s="5e-5")
-    assert widths(dated, logged) == [3e-4, 1e-2]
-    assert widths(dated, recording()) == [1e-2, 1e-2]  # one of them was joined by hand

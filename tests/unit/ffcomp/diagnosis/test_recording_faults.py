@@ -56,7 +56,7 @@ def shaped(x: np.ndarray, kind: str, frequency_hz: float) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize(("kind", "frequency_hz"), [("mzv", 42.0), ("zv", 61.0), ("2hump_ei", 35.0)])
+@pytest.mark.parametrize(("kind", "frequency_hz"), [("zv", 61.0), ("2hump_ei", 35.0)])
 def test_a_shaper_is_named_with_its_type_and_frequency(kind: str, frequency_hz: float) -> None:
     true = [motion()]
     estimation = problem(shaped(true[0], kind, frequency_hz))
@@ -104,7 +104,7 @@ def test_a_clipped_sensor_is_named_with_its_files_and_a_smaller_motion_is_none()
     assert clipped_sensor(problem(0.4 * true[0], true[1]), true) is None
 
 
-@pytest.mark.parametrize("resonance", [0.5, 0.55, 0.62])
+@pytest.mark.parametrize("resonance", [0.5, 0.62])
 def test_a_resonance_that_is_damped_better_than_filed_is_no_clipped_sensor(resonance: float) -> None:
     """Its crests are where the simulation's are, and nowhere else: a sensor that stands at its range looks like it."""
     t = np.arange(N) / RATE_HZ

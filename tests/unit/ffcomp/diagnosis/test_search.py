@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -42,14 +41,6 @@ def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
     trace.write(tmp_path / "trace.json")
     written = json.loads((tmp_path / "trace.json").read_text(encoding="utf-8"))
     assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
-
-
-def test_settings_are_an_argument_and_a_narrower_search_fits_less() -> None:
-    _, broad = asked()
-    _, narrow = asked(replace(SETTINGS, tried=1, starts=1, width=1, forms=0))
-    counts = [sum(r.step.startswith("fit") for r in trace.records) for trace in (narrow, broad)]
-    assert counts[0] < 0.7 * counts[1]
-    assert SearchSettings() == SETTINGS
 
 
 def test_a_number_of_the_file_is_held_where_an_effect_is_the_same_number() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.next_experiment import Separation, blank_recording, separations
+from ffcomp.diagnosis.next_experiment import blank_recording, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, result_of
 from ffcomp.diagnosis.sentences import what_to_do
@@ -119,17 +119,3 @@ def test_a_set_is_told_apart_by_the_recording_that_it_names(machine: Machine) ->
     assert found.named is not None and found.named.names == ("belt_position_stiffness",)
     assert not found.confounded and not told.separations
     assert told.confidence["belt_position_stiffness"] > 0.99
-
-
-def separation(**changed: object) -> Separation:
-    made = Separation(("a",), ("b",), 0.1, 4.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan", otherwise="Weigh it.")
-    return replace(made, **changed)  # type: ignore[arg-type]
-
-
-def test_what_is_alike_but_fits_less_well_needs_no_recording() -> None:
-    told = separation(command="", kind="", position_mm=(), now=2.0, there=2.0)
-    assert told.tells
-    assert told.sentence == (
-        "These runs separate a from b already, though the signatures are alike: the predictions, each at its best, "
-        "differ by 2.0 times the noise."
-    )
