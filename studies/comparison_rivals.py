@@ -185,10 +185,10 @@ class InversePrinter(LinearPrinter):
 
     def cost(self, shaping: Shaping, settings: FloatArray) -> float:
         """Return the contour rms, µm; infinite where an inverse asks for too much."""
-        commands = [self._command(shaping, settings, plan) for plan in self.plans]
+        commands = [piece.planned(*shaping.shapers(settings)).rows for piece in self.pieces]
         if isinstance(shaping, ModeInverse) and not all(map(self._possible, commands)):
             return np.inf
-        return self.contour_rms_of_um(commands)
+        return super().cost(shaping, settings)
 
     def _possible(self, command: FloatArray) -> bool:
         carriages, limits = self._machine.kinematics.inverse(command), self._machine.limits

@@ -40,7 +40,6 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/faster",
     "unit/ffcomp/cli/test_help.py",
     "unit/ffcomp/comparison/test_engine.py",
-    "unit/ffcomp/comparison/test_monte_carlo.py",
     "unit/ffcomp/comparison/test_baselines.py",
     "unit/ffcomp/compensation/test_gcode_layout.py",
     "unit/ffcomp/compensation/test_gcode_writer.py",

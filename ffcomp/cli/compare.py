@@ -10,7 +10,6 @@ from ffcomp.cli.command import verb
 from ffcomp.cli.common import exit_codes
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
-from ffcomp.errors import RequestError
 from ffcomp.result import Result
 
 
@@ -21,14 +20,9 @@ def compare(request: CompareRequest) -> Result:
     Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
     model that made the command. Shapers get the frequencies of the firmware's own calibration, and the best ones that
     a search finds with the printer known. The table shows the contour error and how fast each method could go.
-    --jobs and --scheduler spread the perturbed printers of --mismatch; everything else uses all processors anyway.
 
     Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
     """
-    if (request.jobs > 1 or request.scheduler) and not request.mismatch:
-        raise RequestError(
-            "--jobs and --scheduler need --mismatch: they spread its printers; all else uses every processor anyway."
-        )
     from ffcomp.api.comparison import compare_print
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:

@@ -7,26 +7,23 @@ and z (`-z`), as Marlin has them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.comparison.evaluation import SETTLE_S
-from ffcomp.comparison.sampling import PrintSlice
-from ffcomp.metrics import contour_error, rms
-from ffcomp.shapers.apply import shape_samples
+from ffcomp.comparison.sampling import SETTLE_S, PrintSlice
 from ffcomp.shapers.calibration import Axis, Spectrum, fit, resonance_test_psd
 from ffcomp.shapers.search import Optimum, Scan, search
 from ffcomp.shapers.smooth import KERNELS
 from ffcomp.simulation.command import Motion
-from ffcomp.simulation.linear import KEEP_EVERY, STEP_S, LinearPlayback, whole_steps
+from ffcomp.simulation.expectation import MARGIN, Commanded, Piece, errors_um
+from ffcomp.simulation.linear import STEP_S, LinearPlayback, whole_steps
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
-MARGIN_STEPS = 400  # steps, 0.2 s: longer than half of any shaper above 7 Hz
 SHAPED_Z = "-z"  # after a kind
 SHAPER_NAMES = (*shapers.SHAPERS, *(kind + SHAPED_Z for kind in shapers.SHAPERS))
 COMMON_FACTORS = (0.65, 0.75, 0.87, 1.15, 1.32, 1.52, 1.75, 2.0)  # factors of all frequencies at once
@@ -93,23 +90,11 @@ class LinearPrinter:
         self._plant, self._middle = effective_machine(plant), np.array(plant.kinematics.centre_mm, dtype=float)
         self._playback = LinearPlayback(self._plant)
         self._spectra: dict[Axis, Spectrum] = {}
-        self.slices = [each for each in slices if each.trajectory.end_t > 2 * SETTLE_S]
-        self.plans = [_sampled(each.motion) for each in self.slices]  # (MARGIN + n + MARGIN, 3) mm, STEP_S apart
+        self.pieces = [_piece(each) for each in slices if each.trajectory.end_t > 2 * SETTLE_S]
 
-    def contour_rms_um(self, motions: Sequence[Motion]) -> float:
-        """Return the contour rms of one motion a slice of `self.slices`, µm."""
-        return self.contour_rms_of_um([_sampled(each, 0) for each in motions])
-
-    def contour_rms_of_um(self, commands: Sequence[FloatArray]) -> float:
-        """Return the contour rms of commands (k, 3) mm, STEP_S apart, one a slice of `self.slices`, µm."""
-        errors = np.concatenate([self._contour_of(s, c) for s, c in zip(self.slices, commands, strict=True)])
-        return rms(errors) * 1e3
-
-    def _contour_of(self, print_slice: PrintSlice, command: FloatArray) -> FloatArray:
-        t = print_slice.motion.begin_t + STEP_S * np.arange(len(command), dtype=np.float64)
-        nozzle, _ = self._playback.respond(command, np.gradient(command, STEP_S, axis=0))
-        counted = slice(round(SETTLE_S / STEP_S), None, KEEP_EVERY)
-        return contour_error(*print_slice.corners, t[1:][counted], nozzle[counted])
+    def contour_rms_um(self, commanded: Callable[[Piece], Commanded]) -> float:
+        """Return the contour rms of a command of every piece, µm."""
+        return float(errors_um(self.pieces, [self._playback], commanded)[0])
 
     def calibrated(self, shaping: Shaping) -> FloatArray:
         """Return the settings that a firmware's calibration finds in the middle of the bed."""
@@ -123,10 +108,8 @@ class LinearPrinter:
 
     def cost(self, shaping: Shaping, settings: FloatArray) -> float:
         """Return the contour rms of the shaped print, µm."""
-        return self.contour_rms_of_um([self._command(shaping, settings, plan) for plan in self.plans])
-
-    def _command(self, shaping: Shaping, settings: FloatArray, plan: FloatArray) -> FloatArray:
-        return np.ascontiguousarray(shape_samples(plan, shaping.shapers(settings), STEP_S, MARGIN_STEPS))
+        by_axis = shaping.shapers(settings)
+        return self.contour_rms_um(lambda piece: piece.planned(*by_axis))
 
     def best(self, shaping: Shaping, start: FloatArray | None = None, free: Sequence[int] | None = None) -> Optimum:
         """Return the settings with the least contour rms on this print, and that.
@@ -138,10 +121,13 @@ class LinearPrinter:
         return search(lambda settings: self.cost(shaping, settings), begin, scans, free)
 
 
-def _sampled(motion: Motion, margin: int = MARGIN_STEPS) -> FloatArray:
+def _piece(print_slice: PrintSlice) -> Piece:
+    """Return a slice as a piece whose command is its plan."""
+    motion = print_slice.motion
     steps = whole_steps(motion.end_t - motion.begin_t)
-    t = motion.begin_t + STEP_S * np.arange(-margin, steps + 1 + margin, dtype=np.float64)
-    return np.ascontiguousarray(motion.position(t))
+    t = motion.begin_t + STEP_S * np.arange(-MARGIN, steps + 1 + MARGIN, dtype=np.float64)
+    plan, inside = motion.position(t), slice(MARGIN, -MARGIN)
+    return Piece(*print_slice.corners, motion.begin_t, plan, t[inside], plan[inside], SETTLE_S)
 
 
 def shaped(motion: Motion, *by_axis: shapers.Shaper | None) -> Motion:

@@ -4,7 +4,6 @@ slices      compare.sampling      the parts of the print that are evaluated
 methods     compare.methods       every method, tuned as well as it can be
 executed    simulate.playback     each command on the simulated printer
 evaluated   compare.evaluation    against the reference path
-spread      compare.monte_carlo   again, on Monte-Carlo plants
 quality     compare.equal_quality how fast each method may go for the same quality
 """
 
@@ -12,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -33,110 +32,90 @@ from ffcomp.comparison.evaluation import (
     track,
 )
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod
-from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spread
-from ffcomp.comparison.result import Comparison, Layer, Method, Peaks
-from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
+from ffcomp.comparison.result import Comparison, Method, Peaks
+from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, WHOLE_PRINT, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
+from ffcomp.errors import RequestError
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
-from ffcomp.simulation.expectation import EXCERPT_S, Expectation, draw_plants, expectation, pieces_of
+from ffcomp.simulation.expectation import EXCERPT_S, Expectation, expectation, pieces_of
 from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from models.machine import Machine
 
-ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 TUNING_S, TUNING_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 WHOLE_S = 120.0  # of print time, at most, of a print that is predicted as `compensate` does
 ALL = "all"  # alone: every method that there is
 TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """Options of a comparison."""
-
-    sampling: Sampling = field(default_factory=Sampling)
-    mismatch: float = 0.0  # relative standard deviation of the Monte-Carlo plants' parameters
-    seeds: int = 0  # number of Monte-Carlo plants
-    quality_bound_um: float = 25.0  # 0: equal quality is not sought
-    only: tuple[str, ...] = ()  # of `methods.NAMES`; none and the compensated print are always evaluated
-    predict: bool = True  # the whole print by the design model, if it is short
-
-
 def compare(
     printed: Print,
     plant: Machine | None = None,
-    request: Request | None = None,
     *,
+    sampling: Sampling = WHOLE_PRINT,
+    quality_um: float = 25.0,
+    only: Sequence[str] = (),
+    predict: bool = True,
     settings: Settings | None = None,
-    jobs: int = 1,
     progress: Progress = lambda what, done: None,
 ) -> Comparison:
     """Evaluate every method on one print; NothingToDo if the chosen part is too short.
-
-    With several jobs call it within `compensate.batch.workers`.
 
     Parameters
     ----------
     printed : the print, on the machine whose file the methods use
     plant : the printer that evaluates, with the same kinematics; None: the machine itself
+    quality_um : bound of the contour error's p99 at which the methods' speeds are compared; 0: they are not
+    only : of `methods.NAMES`; none and the compensated print are always evaluated
+    predict : the whole print by the design model, if it is short
     settings : of the inverse
-    jobs : processes that share the Monte-Carlo plants; the numbers are the same
     progress : called with the current step and the share of it that is done
     """
     started, machine = time.perf_counter(), printed.machine
-    request, plant, settings = request or Request(), plant or machine, settings or settings_for(machine)
-    slices, sampled = printed.slices(request.sampling)
+    plant, settings = plant or machine, settings or settings_for(machine)
+    slices, sampled = printed.slices(sampling)
     check_long_enough(slices, printed.path)
-    tuning_slices, _ = printed.slices(request.sampling, TUNING_PIECE_S, TUNING_S)
+    tuning_slices, _ = printed.slices(sampling, TUNING_PIECE_S, TUNING_S)
     if max(each.trajectory.end_t for each in tuning_slices) < SHORTEST_S:
         tuning_slices = slices  # in small pieces of a short print nothing is left but their beginnings
     choice = choose_robust(machine, settings)
     written_method = every.ROBUST if choice.robust else COMPENSATED
-    chosen = {*names(request), written_method}
-    progress = Stages(progress, _stages(request, len(chosen)))
+    chosen = {*names(only), written_method}
+    progress = Stages(progress, _stages(len(chosen), quality_um))
     tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
-    predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else NO_FORECAST
+    predicted = _predicted(printed, replace(settings, robust=choice.robust)) if predict else NO_FORECAST
     evaluated = _evaluated(tuned, slices, plant, printed.labels.features, progress)
-    best = _best_fixed(evaluated)
-    if request.seeds:
-        plants = draw_plants(plant, request.mismatch, request.seeds)
-        plant_slices, _ = printed.slices(request.sampling, at_most_s=ON_PLANTS_S)
-        evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
-    if request.quality_bound_um:
+    if quality_um:
         p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
         keep_time = replace(settings, slowing=SlowingSettings(slow=False))  # what a limit would slow is too fast
         at_its_time = [every.inversion(machine, keep_time, m.name) if m.family == "inversion" else m for m in tuned]
-        quality = equal_qualities(at_its_time, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
+        quality = equal_qualities(at_its_time, printed, plant, tuning_slices, quality_um, p99, progress)
         evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}
     return Comparison(
         print_name=printed.path,
         print_sha256=printed.sha256,
         print_time_s=printed.print_time_s,
-        layers_total=printed.labels.layers,
         sampling=sampled,
         machine=machine,
         plant=plant,
-        mismatch=_mismatch(plant, request),
         settings=_settings(settings, printed.flavor),
         version=__version__,
-        layers=_layers(printed, evaluated[written_method]),
         features=printed.labels.features,
         methods=evaluated,
-        best_fixed=best,
+        best_fixed=_best_fixed(evaluated),
         compensated=written_method,
-        sample_s=SAMPLE_S,
         limits={
             "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
             "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
         },
-        quality_bound_um=request.quality_bound_um,
+        quality_bound_um=quality_um,
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
         whole=len(slices) == 1 and slices[0].planned is printed.planned,
@@ -146,28 +125,23 @@ def compare(
     )
 
 
-def names(request: Request) -> Collection[str]:
+def names(only: Sequence[str]) -> Collection[str]:
     """Return the names of the methods to compare.
 
-    Raises ValueError for a name that no method has, or if there is no best fixed shaper to compare with.
+    Raises RequestError for a name that no method has, or if there is no best fixed shaper to compare with.
     """
-    unknown = [name for name in request.only if name not in every.NAMES and request.only != (ALL,)]
-    if unknown:
-        raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
-    if request.only == (ALL,):
+    if tuple(only) == (ALL,):
         return every.NAMES
-    if request.only and not set(request.only) & {*SHAPER_NAMES}:
-        raise ValueError(f"Name at least one shaper to compare with: {', '.join(SHAPER_NAMES)}.")
-    return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
+    if unknown := [name for name in only if name not in every.NAMES]:
+        raise RequestError(f"--only: no method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
+    if only and not set(only) & {*SHAPER_NAMES}:
+        raise RequestError(f"--only: name at least one shaper to compare with: {', '.join(SHAPER_NAMES)}.")
+    return {"none", COMPENSATED, *only} if only else every.USUAL_NAMES
 
 
-def _stages(request: Request, methods: int) -> dict[str, float]:
+def _stages(methods: int, quality_um: float) -> dict[str, float]:
     seconds = {TUNING: 0.9 * methods, PLANNING: 0.25 * methods, PRINTING: 0.72 * methods}
-    if request.seeds:
-        seconds |= {ON_PLANTS: 0.2 * methods * request.seeds, TUNING_ON_PLANTS: 3.5 * request.seeds}
-    if request.quality_bound_um:
-        seconds[QUALITY] = 0.76 * methods
-    return seconds
+    return seconds | ({QUALITY: 0.76 * methods} if quality_um else {})
 
 
 # ---- the methods ---------------------------------------------------------------------------------
@@ -252,7 +226,6 @@ def _method(
         extruding=track(evaluation, s.extruding, commanded.print_time_s, peak),
         by_layer=by(s.layer, s),
         by_feature={features[k]: error for k, error in by(s.feature, s).items()},
-        residual_rms_um=evaluation.residual_rms_um,
         peaks=commanded.peaks,
         samples=s,
         warnings=commanded.warnings,
@@ -278,16 +251,6 @@ def _expected(method: TunedMethod, slices: Sequence[PrintSlice]) -> Expectation 
 # ---- result ----------------------------------------------------------------------------------
 
 
-def _mismatch(plant: Machine, request: Request) -> str:
-    if not request.seeds:
-        return ""
-    return (
-        f"{request.seeds} plants whose {len(plant.vibration.parameters())} dynamic parameters (masses, stiffnesses, "
-        f"dampings, drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} "
-        f"(seeds 0 to {request.seeds - 1}); every method keeps its tuning; {ON_PLANTS_S:.0f} s of the print on each."
-    )
-
-
 def _settings(settings: Settings, flavor: str) -> dict[str, str]:
     used = {
         "segments per second, at most": f"{1 / settings.segment_s:.0f}",
@@ -306,13 +269,3 @@ def _predicted(printed: Print, settings: Settings) -> Forecast:
         return NO_FORECAST
     options = Options(force=True, offset=printed.offset, flavor=printed.flavor, settings=settings)
     return compensate_file(printed.data, printed.path, printed.machine, options, None).result.forecast
-
-
-def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
-    s, plan = method.samples, printed.planned.trajectory
-    layers = []
-    for number in sorted(method.by_layer):
-        first, last = np.flatnonzero(printed.labels.layer == number)[[0, -1]]
-        z = float(np.median(s.reference[s.layer == number, 2]))
-        layers.append(Layer(number, z, float(plan.start_t[first]), float(plan.start_t[last] + plan.duration[last])))
-    return tuple(layers)

@@ -1,4 +1,4 @@
-"""Execute motions on the plant, in parallel, and evaluate the nozzle: tracking, contour, residual ringing.
+"""Execute motions on the plant, in parallel, and evaluate the nozzle: tracking and contour errors.
 
 Motions of many methods and slices go side by side in the lanes of the processor's vectors. Every motion is evaluated on
 the reference plan's clock. The first SETTLE_S of every slice are left out: before them the printer may have come from
@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -59,33 +58,6 @@ def in_parallel(tasks: Sequence[Callable[[], T]], what: str, progress: Progress)
         pool.shutdown(cancel_futures=True)
 
 
-def in_processes(tasks: Sequence[Callable[[], T]], jobs: int, what: str, progress: Progress) -> list[T]:
-    """Do the tasks in so many processes, or in threads of this one if it is one.
-
-    With several jobs call it within `workers`; then tasks and what they return are pickled.
-    """
-    if jobs == 1:
-        return in_parallel(tasks, what, progress)
-    from joblib import Parallel, delayed
-
-    progress(what, 0.0)
-    pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
-    results = []
-    with closing(pool(delayed(_done)(task) for task in tasks)) as coming:
-        for result in coming:
-            results.append(result)
-            progress(what, len(results) / len(tasks))
-    return results
-
-
-def _done(task: Callable[[], T]) -> T:
-    return task()
-
-
-STEADY_S = 0.03  # a straight cruise or a rest must last this long to show residual ringing
-STEADY_MM_PER_S = 1e-3  # change of the reference speed from sample to sample that counts as none
-
-
 @dataclass(frozen=True, eq=False)
 class MethodEvaluation:
     """One method, evaluated at m samples of all slices."""
@@ -93,7 +65,6 @@ class MethodEvaluation:
     samples: Samples
     late: FloatArray  # (m, 3) mm, where the nozzle should have been `delay_s` earlier
     delay_s: float  # the constant delay that explains most of the tracking error
-    residual_rms_um: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +132,7 @@ def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
         extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
         weight=np.concatenate([_weights(each) for each in executions]),
     )
-    ringing = [part for n, r in zip(nozzle, reference, strict=True) for part in _steady(n - r, r)]
-    residual_um = rms(np.linalg.norm(np.concatenate(ringing), axis=1)) * 1e3 if ringing else float("nan")
-    return MethodEvaluation(samples, np.concatenate(late), delay, residual_um)
+    return MethodEvaluation(samples, np.concatenate(late), delay)
 
 
 def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
@@ -188,17 +157,11 @@ def contour_numbers(samples: Samples, which: BoolArray) -> Error:
 
 
 def by(labels: IntArray, samples: Samples) -> dict[int, Error]:
-    """Return the contour error of the samples that share a label, by label."""
-    return {int(k): contour_numbers(samples, labels == k) for k in np.unique(labels)}
-
-
-def _steady(error: FloatArray, reference: FloatArray) -> list[FloatArray]:
-    """Return the error about its mean, stretch by stretch, where the reference is steady: residual ringing."""
-    bend = np.linalg.norm(np.diff(reference, 2, axis=0), axis=1) / SAMPLE_S
-    edge = np.flatnonzero(np.diff(np.concatenate([[0], (bend < STEADY_MM_PER_S).astype(np.int8), [0]])))
-    long_enough = round(STEADY_S / SAMPLE_S)
-    parts = [error[a + 1 : b + 1] for a, b in edge.reshape(-1, 2) if b - a >= long_enough]
-    return [part - part.mean(axis=0) for part in parts]
+    """Return the contour error by label of the samples where plastic flows, or of all if it flows nowhere."""
+    shows = samples.extruding if samples.extruding.any() else np.ones(len(labels), dtype=np.bool_)
+    errors = {int(k): contour_numbers(samples, shows & (labels == k)) for k in np.unique(labels[shows])}
+    total = max(sum(each.share for each in errors.values()), 1e-12)
+    return {k: replace(each, share=each.share / total) for k, each in errors.items()}
 
 
 Piece = tuple[PrintSlice, Motion]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ffcomp.errors import RequestError
-from ffcomp.options import FLAVOR, JOBS, MACHINE_NAME, OFFSET, PLANT, PLATE, SCHEDULER, SEGMENT_RATE, Offset
+from ffcomp.options import FLAVOR, MACHINE_NAME, OFFSET, PLANT, PLATE, SEGMENT_RATE, Offset
 from ffcomp.request import ACCURACY, SPEED, Argument, MachineLike, Option, Request, silent
 
 Layers = tuple[int, int | None]
@@ -44,19 +44,6 @@ class CompareRequest(Request):
     file: Annotated[str | Path, Argument("Sliced print. It is only read.", metavar="FILE")]
     machine: Annotated[MachineLike, MACHINE_NAME]
     plant: Annotated[MachineLike | None, PLANT] = None
-    mismatch: Annotated[
-        float,
-        Option(
-            "Also evaluate on Monte-Carlo plants whose masses, stiffnesses, dampings and drives are all perturbed by "
-            "this standard deviation, e.g. 10%.",
-            ACCURACY,
-            metavar="SHARE",
-            parse=parse_share,
-        ),
-    ] = 0.0
-    seeds: Annotated[
-        int, Option("Number of Monte-Carlo plants of --mismatch.", ACCURACY, metavar="N", low=1, high=1000)
-    ] = 20
     layers: Annotated[
         Layers,
         Option(
@@ -102,20 +89,12 @@ class CompareRequest(Request):
     flavor: Annotated[str, FLAVOR] = ""
     max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     plate: Annotated[int | None, PLATE] = None
-    jobs: Annotated[int, JOBS] = 1
-    scheduler: Annotated[str, SCHEDULER] = ""
     progress: Callable[[str, float], None] = silent
 
     def check(self) -> None:
         """Check shares and layers."""
         if self.sample is not None and not 0.0 < self.sample <= 1.0:
             raise RequestError(f"--sample {100 * self.sample:g}%: a share above 0 and up to 100%.")
-        if self.mismatch and not 0.0 < self.mismatch <= 1.0:
-            raise RequestError(f"--mismatch {100 * self.mismatch:g}%: a share above 0 and up to 100%.")
-        if self.mismatch > 0.3:
-            raise RequestError(
-                f"--mismatch {100 * self.mismatch:g}%: up to 30 %; beyond it sampled masses come near to zero."
-            )
         first, last = self.layers
         if first < 0 or (last is not None and last < first):
             layers = f"{first}:{'' if last is None else last}"

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from functools import cached_property
+from typing import Any, ClassVar, Literal
 
-import numpy as np
-
+from ffcomp.errors import missing_extras_explained
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import ALL_OF, keys
+from ffcomp.result import Answer, Fact, Result, named
 from ffcomp.simulation.expectation import Expectation
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
+FIGURES = ("close-up", "errors-by-layer", "errors-by-feature", "methods")
+QUALITY_FIGURES = ("equal-quality", "print-times")
 Family = Literal["none", "calibrated", "best fixed", "inversion"]
 
 
@@ -39,7 +42,7 @@ class Error:
     rms_um: float  # contour error, root mean square
     p99_um: float  # 99 % of the samples are closer
     max_um: float  # the largest
-    share: float  # of all samples
+    share: float  # of the samples where plastic flows
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,30 +52,6 @@ class Peaks:
     velocity_mm_per_s: float  # the highest demand on a carriage
     acceleration_mm_per_s2: float  # the same
     within_limits: bool  # of the machine file
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Contour rms over the Monte-Carlo plants, one value a seed, µm; the tuning stays that of the machine file."""
-
-    json_keys: ClassVar = keys("mean_um", "median_um", "worst_um", "contour_rms_um")
-
-    contour_rms_um: tuple[float, ...]
-
-    @property
-    def median_um(self) -> float:
-        """Median over the plants."""
-        return float(np.median(self.contour_rms_um))
-
-    @property
-    def mean_um(self) -> float:
-        """Mean over the plants."""
-        return float(np.mean(self.contour_rms_um))
-
-    @property
-    def worst_um(self) -> float:
-        """Maximum over the plants."""
-        return max(self.contour_rms_um)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +70,7 @@ class Method:
     """One method, evaluated."""
 
     json_keys: ClassVar = keys(
-        *("label", "family", "tuning", "extruding", "by_layer", "by_feature"),
-        *("residual_rms_um", "peaks", "equal_quality", "warnings"),
-        mismatch="spread",
-        mismatch_retuned="retuned",
+        *("label", "family", "tuning", "extruding", "by_layer", "by_feature", "peaks", "equal_quality", "warnings"),
         **{ALL_OF: "track"},
     )
 
@@ -104,34 +80,23 @@ class Method:
     tuning: str  # a sentence: the chosen parameters, and how
     track: Track  # over all samples
     extruding: Track  # where plastic flows
-    by_layer: dict[int, Error]
-    by_feature: dict[str, Error]
-    residual_rms_um: float  # residual ringing while the nozzle should cruise in a straight line or rest
+    by_layer: dict[int, Error]  # where plastic flows, or everywhere if it flows nowhere
+    by_feature: dict[str, Error]  # the same samples
     peaks: Peaks
     samples: Samples
-    spread: Spread | None = None
-    retuned: Spread | None = None  # shapers only: retuned on every Monte-Carlo plant
     equal_quality: EqualQuality | None = None
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Layer:
-    """An evaluated layer."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Result):
+    """Every method on one print."""
 
-    number: int  # from 0; those that were evaluated
-    z_mm: float
-    begin_t: float  # number [s]: on the plan's clock
-    end_t: float  # number [s]
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A comparison: all that the JSON, the report and the figures are made of."""
-
+    schema = "ffcomp-compare/1"
+    page_by = "ffcomp.report.compare:page_of"
     json_keys: ClassVar = keys(
-        *("version", "machine", "plant", "sampling", "mismatch", "settings", "limits", "print_time_s"),
-        *("acceleration_mm_per_s2", "layers", "best_fixed", "quality_bound_um", "predicted", "expected"),
+        *("version", "machine", "plant", "sampling", "settings", "limits", "print_time_s"),
+        *("acceleration_mm_per_s2", "best_fixed", "quality_bound_um", "predicted", "expected"),
         *("methods", "seconds"),
         input="print_name",
         input_sha256="print_sha256",
@@ -143,19 +108,15 @@ class Comparison:
     print_name: str
     print_sha256: str
     print_time_s: float  # of the whole print, as the firmware plans it
-    layers_total: int
     sampling: str  # a sentence: the part of the print that was evaluated
     machine: Machine  # the one that every method uses
     plant: Machine  # the one that evaluated them
-    mismatch: str  # a sentence, empty without Monte-Carlo plants
     settings: dict[str, str]  # name → value, as used
     version: str
-    layers: tuple[Layer, ...]  # those that were evaluated
     features: tuple[str, ...]
     methods: dict[str, Method]  # in the order of the table
     best_fixed: str  # names in `methods`: the fixed shaper with the least contour error
     compensated: str  # name of the method that `compensate` writes with this machine file
-    sample_s: float  # time from sample to sample
     limits: dict[str, float] = field(
         default_factory=dict
     )  # carriage_velocity_mm_per_s, carriage_acceleration_mm_per_s2
@@ -166,3 +127,86 @@ class Comparison:
     predicted: Mapping[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` states it
     robust: RobustChoice = PLAIN  # default of `compensate` with this machine file
     expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
+    notes: tuple[str, ...] = ()  # sentences on the compared print, if it is not the file itself
+
+    @property
+    def tracks(self) -> dict[str, Track]:
+        """Errors by method."""
+        return {name: method.track for name, method in self.methods.items()}
+
+    @property
+    def ours(self) -> Method:
+        """The compensated print."""
+        return self.methods[self.compensated]
+
+    @property
+    def none(self) -> Method:
+        """The print without compensation."""
+        return self.methods["none"]
+
+    @property
+    def best(self) -> Method:
+        """The best fixed shaper."""
+        return self.methods[self.best_fixed]
+
+    @property
+    def fastest_shaper(self) -> Method | None:
+        """The fastest shaper at equal quality; at the print's own speed another may have the least error."""
+        fixed = [each for each in self.methods.values() if each.family in ("calibrated", "best fixed")]
+        sought = [(each.equal_quality, each) for each in fixed if each.equal_quality is not None]
+        first = sorted(sought, key=lambda each: (not each[0].reached, each[0].print_time_s))[:1]
+        return first[0][1] if first else None
+
+    @property
+    def extrudes(self) -> bool:
+        """Whether the evaluated part extrudes."""
+        return bool(self.ours.samples.extruding.any())
+
+    @property
+    def where(self) -> str:
+        """Which samples show on the print."""
+        return "where plastic flows" if self.extrudes else "over all moves"
+
+    def seen(self, method: Method) -> Track:
+        """Return the errors that show on the print: where plastic flows, or everywhere if it flows nowhere."""
+        return method.extruding if self.extrudes else method.track
+
+    def rms_um(self, method: Method) -> float:
+        """Return the contour rms of the same."""
+        return self.seen(method).contour_rms_um
+
+    @cached_property
+    def answer(self) -> Answer:
+        """Whether it is worth it and why, the findings, each method's errors, and the limits of the result."""
+        answer: Answer = named("ffcomp.comparison.sentences:answer_of")(self)
+        return answer
+
+    @property
+    def headline(self) -> str:
+        """Whether it is worth it, and why."""
+        return self.answer.headline
+
+    @property
+    def facts(self) -> Sequence[Fact]:
+        """The findings, and each method's errors."""
+        return self.answer.facts
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Whether another file is compared, and the limits of the result."""
+        return self.answer.warnings
+
+    @property
+    def next_steps(self) -> Sequence[str]:
+        """A measurement, where the machine file is not known well enough."""
+        return self.answer.next_steps
+
+    def figures(self) -> list[str]:
+        """Return the names of the figures that `plot` draws; the last two where equal quality was sought."""
+        sought = any(method.equal_quality is not None for method in self.methods.values())
+        return [*FIGURES, *(QUALITY_FIGURES if sought else ())]
+
+    @missing_extras_explained()
+    def plot(self, name: str = "methods", **options: Any) -> Any:
+        """Draw one of the figures; RequestError if there is none of that name."""
+        return named("ffcomp.report.compare:figure")(self, name or "methods")

@@ -142,6 +142,9 @@ class Sampling:
     share: float | None = None  # of these layers' time; None: all, but no more than LONGEST_S
 
 
+WHOLE_PRINT = Sampling()
+
+
 @dataclass(frozen=True, eq=False)
 class PrintSlice:
     """n moves of a print, planned from rest to rest."""

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Protocol
+from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ffcomp.comparison.result import Comparison, EqualQuality, Error, Family, Method
-from ffcomp.comparison.words import (
-    clipped,
-    duration,
-    extrudes,
-    feature_errors,
-    file_name,
-    layer_errors,
-    nick,
-    outer_first,
-    rms_um,
-    seen,
-    shown,
-    thousands,
-    where_seen,
-)
+from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method
+from ffcomp.comparison.sentences import nick
 from ffcomp.errors import RequestError
 from ffcomp.numerics.digits import um
 from ffcomp.report.drawing import (
@@ -47,6 +34,7 @@ from ffcomp.report.drawing import (
     plain_decades,
 )
 from ffcomp.report.page import Page, Section, Table
+from ffcomp.result import clock
 from gcode.layers import is_outer_wall
 
 COLOURS: dict[Family, str] = {"none": BEFORE, "calibrated": CALIBRATED, "best fixed": SHAPER, "inversion": AFTER}
@@ -64,15 +52,13 @@ def drawings(comparison: Comparison) -> list[Drawing]:
     def of(name: str, title: str, height: float, caption: str, draw: Callable[[Axes, Comparison], None]) -> Drawing:
         return Drawing(name, title, "", caption, WIDTH, height, partial(_alone, draw=draw, comparison=comparison))
 
-    features = ROW * len(feature_errors(comparison, comparison.methods["none"])) + 1.7
+    features = ROW * len(comparison.none.by_feature) + 1.7
     every = [
         of("close-up", "Largest error without compensation", 5.2, CLOSE_UP, _close_up),
         of("errors-by-layer", "Error by layer", 3.6, "", _by_layer),
         of("errors-by-feature", "Error by feature, and its share of the time", features, "", _by_feature),
         of("methods", "All methods", rows, METHODS, _errors),
     ]
-    if any(method.spread is not None for method in methods):
-        every.append(of("mismatch", "Printers that differ from the file", rows, MISMATCH, _mismatches))
     if any(method.equal_quality is not None for method in methods):
         bound = f"{comparison.quality_bound_um:g} µm"
         every.append(of("equal-quality", f"99 % within {bound} up to this acceleration", rows, QUALITY, _fastest))
@@ -82,7 +68,6 @@ def drawings(comparison: Comparison) -> list[Drawing]:
 
 CLOSE_UP = "Seen from above, true to scale. Equal waves after a corner are ringing."
 METHODS = "Large dot: rms. Line: 99 %. Small dot: largest. ★: the method has the lowest error."
-MISMATCH = "Dots: printers whose parameters differ from the machine file. Line: median. Ring: the printer itself."
 QUALITY = "Empty: the bound is exceeded even at the lowest acceleration tried."
 
 
@@ -107,13 +92,13 @@ def figure(comparison: Comparison, name: str) -> Figure:
 
 def _close_up(axes: Axes, comparison: Comparison) -> None:
     """Draw one pass of the nozzle through the worst place, of outer walls if there are any."""
-    s = comparison.methods["none"].samples
+    s = comparison.none.samples
     walls = np.array([is_outer_wall(name) for name in comparison.features], dtype=np.bool_)
     kinds = (s.extruding & walls[s.feature], s.extruding, np.ones(len(s.due), dtype=np.bool_))
     worst = int(np.argmax(np.where(next(kind for kind in kinds if kind.any()), s.contour, -1.0)))
     at, half = s.reference[worst], half_width(float(s.contour[worst]))
     lines: list[Line] = []
-    for method in reversed(shown(comparison)):
+    for method in reversed(_shown(comparison)):
         s = method.samples
         away = np.abs(s.reference - at)
         near = (away[:, 2] < SAME_LAYER_MM) & (away[:, :2].max(axis=1) < 1.5 * half)
@@ -124,13 +109,13 @@ def _close_up(axes: Axes, comparison: Comparison) -> None:
             lines = [(s.reference, near & ~now & s.extruding, NEIGHBOUR, 1.2, ""), *lines]
             lines.append((s.reference, now, REFERENCE, 0.8, "reference"))
     close_up(axes, at, half, lines)
-    feature = comparison.features[int(comparison.methods["none"].samples.feature[worst])]
+    feature = comparison.features[int(comparison.none.samples.feature[worst])]
     axes.set_title(f"X {at[0]:.1f}  Y {at[1]:.1f}  Z {at[2]:.2f} mm, {clipped(feature)}", parse_math=False)
 
 
 def _by_layer(axes: Axes, comparison: Comparison) -> None:
-    for method in shown(comparison):
-        layers = sorted(layer_errors(comparison, method).items())
+    for method in _shown(comparison):
+        layers = sorted(method.by_layer.items())
         values = [max(error.rms_um, FLOOR_UM) for _, error in layers]
         axes.semilogy([n for n, _ in layers], values, ".-", **_look(method))
     axes.set(xlabel="layer", ylabel="contour error, µm rms")
@@ -140,10 +125,10 @@ def _by_layer(axes: Axes, comparison: Comparison) -> None:
 
 
 def _by_feature(axes: Axes, comparison: Comparison) -> None:
-    none = feature_errors(comparison, comparison.methods["none"])
+    none = comparison.none.by_feature
     names = sorted(none, key=lambda name: none[name].share)
-    for method in shown(comparison):
-        errors = feature_errors(comparison, method)
+    for method in _shown(comparison):
+        errors = method.by_feature
         rows = [(k, max(errors[name].rms_um, FLOOR_UM)) for k, name in enumerate(names) if name in errors]
         axes.semilogx([value for _, value in rows], [k for k, _ in rows], "o", **_look(method))
     labels = [f"{clipped(name)}  {none[name].share:.0%}" for name in names]
@@ -151,6 +136,11 @@ def _by_feature(axes: Axes, comparison: Comparison) -> None:
     axes.set(xlabel="contour error, µm rms", ylim=(-0.6, len(names) - 0.4))
     plain_decades(axes.xaxis)
     grid(axes)
+
+
+def _shown(comparison: Comparison) -> list[Method]:
+    """Return the methods of these figures: without compensation, the best fixed shaper, the compensated print."""
+    return list(dict.fromkeys((comparison.none, comparison.best, comparison.ours)))
 
 
 def _look(method: Method) -> dict[str, Any]:
@@ -162,31 +152,17 @@ def _look(method: Method) -> dict[str, Any]:
 
 def _errors(axes: Axes, comparison: Comparison) -> None:
     methods = list(comparison.methods.values())
-    least = min(seen(comparison, method).contour_rms_um for method in methods)
+    least = min(comparison.seen(method).contour_rms_um for method in methods)
     for k, method in enumerate(methods):
-        t, colour = seen(comparison, method), COLOURS[method.family]
+        t, colour = comparison.seen(method), COLOURS[method.family]
         rms, p99, most = np.maximum([t.contour_rms_um, t.contour_p99_um, t.contour_max_um], FLOOR_UM)
         axes.semilogx([rms, most], [k, k], color=colour, linewidth=1.5)
         for value, sign, size in ((rms, "o", 8), (p99, "|", 11), (most, ".", 6)):
             axes.semilogx(value, k, sign, color=colour, markersize=size, markeredgewidth=2 if sign == "|" else 0)
         best = "★ " if t.contour_rms_um == least else ""
         axes.text(0.9 * rms, k, f"{best}{um(t.contour_rms_um)}  ", ha="right", va="center", fontsize=8)
-    axes.set_xlabel(f"contour error {where_seen(comparison)}, µm")
+    axes.set_xlabel(f"contour error {comparison.where}, µm")
     axes.margins(x=0.25)  # for the number of the leftmost dot
-    _rows(axes, comparison, methods)
-    plain_decades(axes.xaxis)
-
-
-def _mismatches(axes: Axes, comparison: Comparison) -> None:
-    methods = [method for method in comparison.methods.values() if method.spread is not None]
-    for k, method in enumerate(methods):
-        assert method.spread is not None
-        colour, values = COLOURS[method.family], np.maximum(method.spread.contour_rms_um, FLOOR_UM)
-        rows = k + 0.25 * np.sin(2.4 * np.arange(len(values)))
-        axes.semilogx(values, rows, "o", color=colour, markersize=4, alpha=0.6, markeredgewidth=0)
-        axes.semilogx(method.spread.median_um, k, "|", color=colour, markersize=18, markeredgewidth=2.5)
-        axes.semilogx(method.track.contour_rms_um, k, "o", color=colour, markersize=8, markerfacecolor="none")
-    axes.set_xlabel("contour error, all moves, µm rms")
     _rows(axes, comparison, methods)
     plain_decades(axes.xaxis)
 
@@ -199,7 +175,7 @@ def _fastest(axes: Axes, comparison: Comparison) -> None:
 def _print_times(axes: Axes, comparison: Comparison) -> None:
     times = [m.equal_quality.print_time_s for m in comparison.methods.values() if m.equal_quality is not None]
     unit_s, unit = (1, "seconds") if max(times, default=0.0) < 120 else (60, "minutes")
-    _bars(axes, comparison, lambda quality: quality.print_time_s / unit_s, lambda q: duration(q.print_time_s))
+    _bars(axes, comparison, lambda quality: quality.print_time_s / unit_s, lambda q: clock(q.print_time_s))
     axes.set_xlabel(unit)
 
 
@@ -234,65 +210,36 @@ def _rows(axes: Axes, comparison: Comparison, methods: Sequence[Method]) -> None
 # ---- the page ------------------------------------------------------------------------------------
 
 
-class Compared(Protocol):
-    """The answer that is shown."""
-
-    comparison: Comparison
-
-
-def page_of(result: Compared) -> Page:
+def page_of(comparison: Comparison) -> Page:
     """Return the page of a comparison."""
-    comparison = result.comparison
     about = [f"machine {comparison.machine.name}", f"evaluated on {comparison.plant.name}"]
     drawn = drawings(comparison)
     sections = [
         Section("Where it shows", drawings=drawn[:3]),
-        Section("Method by method", drawings=drawn[3:], sentences=list(filter(None, [comparison.mismatch]))),
-        Section("All numbers", tables=list(_tables(comparison)), folded=True),
+        Section("Method by method", drawings=drawn[3:]),
+        Section("How each method was set", tables=[_tunings(comparison)], folded=True),
         Section("Settings", tables=[Table(("setting", "value"), _settings(comparison))], folded=True),
     ]
-    return Page(file_name(comparison), about, sections)
+    return Page(PurePath(comparison.print_name).name, about, sections)
 
 
-def _tables(comparison: Comparison) -> Iterator[Table]:
-    methods = comparison.methods.values()
-    where = "extruding" if extrudes(comparison) else "all moves"
-    head = ("method", "rms, µm", "99 %", "max", "all moves, rms", "tracking, rms", "no delay", "delay, ms", "ringing")
-    yield Table((*head, "mm/s", "mm/s²"), [_numbers(comparison, each) for each in methods], f"Errors, {where}")
-    tunings = [(m.label, m.name, "; ".join([m.tuning, *dict.fromkeys(m.warnings)])) for m in methods]
-    yield Table(("method", "name for --only", "settings and warnings"), tunings, "How each method was set")
-    labels, none = [method.label for method in shown(comparison)], comparison.methods["none"]
-    shares = {name: error.share for name, error in feature_errors(comparison, none).items()}
-    by_feature = [feature_errors(comparison, method) for method in shown(comparison)]
-    names = outer_first(shares, shares)
-    rows = [[f"{name}, {shares[name]:.1%} of the time", *_each(by_feature, name)] for name in names]
-    yield Table(("feature", *labels), rows, "Contour error by feature, µm rms")
-    by_layer = [layer_errors(comparison, method) for method in shown(comparison)]
-    rows = [[f"{layer.number}, Z {layer.z_mm:.2f} mm", *_each(by_layer, layer.number)] for layer in comparison.layers]
-    yield Table(("layer", *labels), rows, "Contour error by layer, µm rms")
-
-
-def _each(errors: Sequence[dict[Any, Error]], key: Any) -> list[str]:
-    return [rms_um(each.get(key)) for each in errors]
-
-
-def _numbers(comparison: Comparison, method: Method) -> list[str]:
-    t, every, peaks = seen(comparison, method), method.track, method.peaks
-    errors = t.contour_rms_um, t.contour_p99_um, t.contour_max_um, every.contour_rms_um
-    tracking = every.tracking_rms_um, every.tracking_rms_no_delay_um
-    delay = f"{1e3 * every.delay_s:.2f}".replace("-0.00", "0.00")
-    beyond = "" if peaks.within_limits else " ✗"
-    asked = f"{peaks.velocity_mm_per_s:.0f}{beyond}", f"{thousands(peaks.acceleration_mm_per_s2)}{beyond}"
-    return [method.label, *map(um, (*errors, *tracking)), delay, um(method.residual_rms_um), *asked]
+def _tunings(comparison: Comparison) -> Table:
+    rows = [(m.label, m.name, "; ".join([m.tuning, *dict.fromkeys(m.warnings)])) for m in comparison.methods.values()]
+    return Table(("method", "name for --only", "settings and warnings"), rows)
 
 
 def _settings(comparison: Comparison) -> list[tuple[str, str]]:
     limits = ", ".join(f"{key} {value:g}" for key, value in comparison.limits.items())
     parties = (("machine file of every method", comparison.machine), ("machine file of the printer", comparison.plant))
     return [
-        ("print", f"{file_name(comparison)}, sha256 {comparison.print_sha256}"),
+        ("print", f"sha256 {comparison.print_sha256}"),
         *((role, ", ".join([each.name, f"sha256 {each.sha256}", *each.effects])) for role, each in parties),
         *comparison.settings.items(),
         ("limits of the carriages", limits or "none"),
-        ("computing time", duration(comparison.seconds)),
+        ("computing time", clock(comparison.seconds)),
     ]
+
+
+def clipped(text: str, most: int = 34) -> str:
+    """Shorten a name for figures: names from files have any length."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"

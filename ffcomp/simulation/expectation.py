@@ -105,9 +105,9 @@ class Piece:
         """Print time that it covers."""
         return STEP_S * (len(self.plan) - 1 - 2 * MARGIN)
 
-    def planned(self, x: shapers.Shaper | None = None, y: shapers.Shaper | None = None) -> Commanded:
-        """Return the plan through shapers of x and y."""
-        rows = shape_samples(self.plan, (x, y, None), STEP_S, MARGIN)
+    def planned(self, *by_axis: shapers.Shaper | None) -> Commanded:
+        """Return the plan through shapers of x, y and z; of none where there are fewer."""
+        rows = shape_samples(self.plan, (*by_axis, None, None, None)[:3], STEP_S, MARGIN)
         return Commanded(rows, self.begin_t + STEP_S * np.arange(len(rows), dtype=np.float64))
 
     def compensated(self) -> Commanded:

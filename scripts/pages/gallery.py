@@ -157,12 +157,8 @@ def compare_close_up() -> Image.Image:
     return compared("close-up")
 
 
-def compare_mismatch() -> Image.Image:
-    return compared("mismatch", mismatch=0.1, seeds=8)
-
-
-def compared(name: str, **options: Any) -> Image.Image:
-    found = compare("print.gcode", "mp-delta-pro", only=tuple(ROWS.split(",")), quality_um=0.0, **options)
+def compared(name: str) -> Image.Image:
+    found = compare("print.gcode", "mp-delta-pro", only=tuple(ROWS.split(",")), quality_um=0.0)
     found.write_figure("one.png", name)
     return Image.open("one.png")
 
@@ -334,7 +330,6 @@ MADE: dict[str, Callable[[], Image.Image]] = {
         show_limits,
         compare_methods,
         compare_close_up,
-        compare_mismatch,
         page_1400_light,
         page_1400_dark,
         page_390_light,

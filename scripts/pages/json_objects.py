@@ -21,7 +21,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ffcomp.comparison.result import EqualQuality, Error, Method, Spread
+from ffcomp.comparison.result import EqualQuality, Error, Method
 from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.metrics import Track
@@ -41,7 +41,6 @@ SHARED: dict[type, str] = {
     Machine: "MACHINE",
     Estimate: "ESTIMATE",
     Error: "ERROR",
-    Spread: "SPREAD",
     ResidualSize: "SIZE",
     Extreme: "EXTREME",
     Method: "METHOD",

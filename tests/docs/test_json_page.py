@@ -123,7 +123,7 @@ def test_estimate_show_and_simulate(page: Page, folder: Path) -> None:
 def test_compare(page: Page, folder: Path) -> None:
     print_ = folder / "squares.gcode"
     print_.write_bytes(squares(1))
-    options = ("--only", "mzv", "--mismatch", "5%", "--seeds", "1", "--quality-um", "60", "-q")
+    options = ("--only", "mzv", "--quality-um", "60", "-q")
     hold(page, "ffcomp-compare/1", told("compare", print_, *MACHINE, *options))
 
 

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.api.comparison import MethodComparison
-from ffcomp.comparison import words as parts
+from ffcomp.comparison.evaluation import by
 from ffcomp.comparison.result import Comparison, Peaks
 from ffcomp.comparison.sentences import cautions, findings
 from tests.support.browser import Visit, chromium, hard_to_read, visit
@@ -44,13 +43,12 @@ def verdict(found: Comparison) -> list[str]:
 
 def test_errors_by_layer_and_feature_are_those_of_the_tiles() -> None:
     found = comparison()
-    for of, own in ((parts.layer_errors, found.methods["mzv"]), (parts.feature_errors, found.methods["none"])):
-        each = list(of(found, own).values())  # type: ignore[operator]
-        whole = sum(error.share * error.rms_um**2 for error in each) ** 0.5
-        assert whole == pytest.approx(own.extruding.contour_rms_um) and sum(e.share for e in each) == pytest.approx(1)
-    travel = replace(found.methods["mzv"].samples, extruding=np.zeros(len(samples(1.0).due), dtype=bool))
-    still = changed(changed(found, "mzv", samples=travel), "fbs-lpv", samples=travel)
-    assert set(parts.layer_errors(still, still.methods["mzv"])) == set(range(LAYERS))
+    for own, each in ((found.methods["mzv"], found.methods["mzv"].by_layer), (found.none, found.none.by_feature)):
+        errors = list(each.values())
+        whole = sum(error.share * error.rms_um**2 for error in errors) ** 0.5
+        assert whole == pytest.approx(own.extruding.contour_rms_um) and sum(e.share for e in errors) == pytest.approx(1)
+    travel = replace(found.none.samples, extruding=np.zeros(len(samples(1.0).due), dtype=bool))
+    assert set(by(travel.layer, travel)) == set(range(LAYERS))
 
 
 def test_limits_and_warnings_are_in_the_verdict() -> None:
@@ -86,14 +84,14 @@ def nasty_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for key, judged in found.methods.items():
         found = changed(found, key, by_feature=dict(zip(found.features[1:], judged.by_feature.values(), strict=True)))
     target = tmp_path_factory.mktemp("nasty") / "report.html"
-    MethodComparison(found).write_report(target)
+    found.write_report(target)
     return target
 
 
 def test_the_page_fetches_nothing(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     images = [base64.b64decode(each).decode() for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
-    assert len(images) == 7
+    assert len(images) == 6
     for content in (text, *images):
         fetched = re.findall(r"""(?:src|href)\s*=\s*["']?([^"'\s>]+)|url\(([^)]+)\)|@import""", content)
         assert all(re.match(r"data:|#|$", one or other) for one, other in fetched), fetched
