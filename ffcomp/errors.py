@@ -89,8 +89,8 @@ EXTRAS = {
 }
 """Packages that only an extra installs: its name, and who needs it."""
 
-PACKAGE_NAMES = {"PIL": "pillow"}
-"""What a package is installed as, where it is imported by another name."""
+
+PACKAGE_NAMES = {"PIL": "pillow"}  # what a package is installed as, where it is imported by another name
 
 
 def not_installed(package: str) -> FfcompError:

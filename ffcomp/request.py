@@ -1,7 +1,7 @@
 """Declare a verb once: command line, Python, browser page and reference are made from the declaration.
 
 The request of a verb is one frozen dataclass. A field gives an option's name, type and default; the `Option` in its
-annotation gives the rest: help, group, unit and range.
+annotation gives the rest: help, group and range.
 
 To add an option, add a field to the verb's request and use it where the verb does its work. To add a verb:
 
@@ -84,8 +84,6 @@ class Option:
         On the command line; none: `--the-field`.
     metavar : str
         Placeholder for the value in help.
-    unit : str
-        Of a number, if its name does not contain it.
     low, high : float
         Smallest and largest value.
     choices : tuple of str
@@ -113,7 +111,6 @@ class Option:
         group: str = "",
         *names: str,
         metavar: str = "",
-        unit: str = "",
         low: float | None = None,
         high: float | None = None,
         choices: tuple[str, ...] = (),
@@ -124,7 +121,7 @@ class Option:
         writes: Literal["", "file", "folder"] = "",
         label: str = "",
     ) -> None:
-        self.help, self.group, self.names, self.metavar, self.unit = help, group, names, metavar, unit
+        self.help, self.group, self.names, self.metavar = help, group, names, metavar
         self.low, self.high, self.choices, self.env = low, high, choices, env
         self.parse, self.repeated = parse, repeated
         self.unset, self.writes, self.label = unset, writes, label
@@ -205,11 +202,11 @@ class Declared:
 
     @property
     def range(self) -> str:
-        """The range in words, with the unit; empty: any number."""
-        low, high, unit = self.option.low, self.option.high, self.option.unit and f" {self.option.unit}"
+        """The range in words; empty: any number."""
+        low, high = self.option.low, self.option.high
         if low is not None and high is not None:
-            return f"{low:g} to {high:g}{unit}"
-        return f"at least {low:g}{unit}" if low is not None else f"at most {high:g}{unit}" if high is not None else ""
+            return f"{low:g} to {high:g}"
+        return f"at least {low:g}" if low is not None else f"at most {high:g}" if high is not None else ""
 
     def read(self, text: str) -> Any:
         """Make the value of a text, as the command line does; RequestError if it cannot."""

@@ -50,6 +50,13 @@ def clock(seconds: float) -> str:
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
 
 
+def time_left(seconds: float) -> str:
+    """Say the time left in round numbers: `about 40 s left`."""
+    step = 5.0 if seconds < 60.0 else 15.0 if seconds < 300.0 else 60.0
+    rounded = max(step * round(seconds / step), step)
+    return f"about {rounded:.0f} s left" if rounded < 120 else f"about {rounded / 60:.0f} min left"
+
+
 def named(place: str) -> Callable[..., Any]:
     """Import a function that is named `module:function`."""
     module, _, function = place.partition(":")

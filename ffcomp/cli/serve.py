@@ -61,8 +61,6 @@ class ServeRequest(Request):
     folder: Annotated[
         Path | None, Option("Where work is kept. Default: the user's data folder.", OUTPUT, metavar="DIR")
     ] = None
-    keep_days: Annotated[float, Option("Remove work that ended N days ago.", OUTPUT, metavar="N", low=0.01)] = 14.0
-    room_gb: Annotated[float, Option("Largest size of all work together.", OUTPUT, metavar="GB", low=0.1)] = 20.0
     largest_mb: Annotated[int, Option("Largest file that is taken.", OUTPUT, metavar="MB", low=1)] = 1024
     jobs: Annotated[int, Option("Jobs at the same time.", SPEED, "--jobs", "-j", metavar="N", low=1)] = 1
     open_it: Annotated[bool, Option("Open the page in the browser.", ADVANCED, "--open")] = False
@@ -96,8 +94,6 @@ def serve(request: ServeRequest) -> None:
         port=request.port,
         jobs=request.jobs,
         largest_bytes=request.largest_mb * MEGABYTE,
-        room_bytes=int(request.room_gb * 1024 * MEGABYTE),
-        keep_days=request.keep_days,
         names=request.name,
         frames=request.frame,
         moonraker=request.moonraker,

@@ -122,7 +122,6 @@ class CompensateOptions(Request):
             "Largest path error that an active limit may cause before the print is slowed down.",
             ACCURACY,
             metavar="UM",
-            unit="µm",
             low=0.1,
         ),
     ] = 25.0

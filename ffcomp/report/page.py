@@ -59,8 +59,10 @@ class Page:
 
 
 def plain(result: Result) -> Page:
-    """Return the page of a verb that has no sections of its own: its figures."""
+    """Return the page of a verb that has no sections of its own: its figures, without the words that the page has."""
     figures = [result.plot(name) for name in result.figures()]
+    for figure in figures:
+        figure.suptitle("")
     return Page(result.title, sections=[Section("", figures=figures)] if figures else [])
 
 

@@ -1,47 +1,33 @@
-"""What a job found, as the page shows it: the answer that its verb prints with `--json`."""
+"""What a job found, as the page shows it: the answer that its verb prints, without commands to type."""
 
 from __future__ import annotations
 
+import base64
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
+
+from ffcomp.result import Answer
 
 VERBS = (  # "ffcomp leaves 2 µm" is no command
     "check|compare|compensate|diagnose|estimate|frf|gap|identify|log|machines|record|restore|serve|show|simulate|warmup"
 )
 COMMAND = re.compile(rf"\bffcomp (?:{VERBS})\b|(?<![\w-])--[a-z]")  # text that only the command line understands
-MEASURES = re.compile(r"\bffcomp (?:record|identify) ")
+MEASURES = re.compile(r"^Measure first: `ffcomp ")
 MEASURE = "Measure the machine: see Know my machine."
-DROPS = {
-    "plan": "Drop the captures that it writes (on Klipper: /tmp/*.csv on the printer's computer) below the moves.",
-    "page": "Drop the picture under the page.",
-}
+FIGURE = re.compile(r'src="data:image/svg\+xml;base64,([A-Za-z0-9+/=]+)"')
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What the page shows of one job."""
-
-    lead: str = ""  # a sentence
-    facts: Sequence[Sequence[str]] = ()  # pairs of a name and a value
-    warnings: Sequence[str] = ()
-    to_do: Sequence[str] = ()  # sentences
-    kept: str = ""  # the name of one that was kept
-    code: str = ""  # settings to copy
-
-
-def answer_of(kind: str, result: Mapping[str, Any]) -> Answer:
-    """Return what the page shows of one job."""
+def answer_of(result: Mapping[str, Any]) -> Answer:
+    """Return what the page shows of a verb's JSON object."""
     if not (told := result.get("answer")):
         return Answer()
-    steps = [step for each in told["next_steps"] if (step := _without_commands(each))]
-    if any(map(MEASURES.search, told["next_steps"])) and kind in ("compensate", "compare"):
-        steps.append(MEASURE)
-    drop = DROPS.get("plan" if kind == "excite" else kind)
-    facts = [[name, _without_commands(value) or value] for name, value in told["facts"]]
+    steps = [MEASURE if MEASURES.search(each) else _without_commands(each) for each in told["next_steps"]]
+    facts = [(name, _without_commands(value) or value) for name, value in told["facts"]]
     warnings = [_without_commands(each) or each for each in told["warnings"]]
-    return Answer(told["headline"], facts, warnings, [*steps, *([drop] if drop else [])], code=_settings(result))
+    return Answer(told["headline"], facts, warnings, list(filter(None, steps)))
 
 
 def _without_commands(text: str) -> str:
@@ -49,10 +35,8 @@ def _without_commands(text: str) -> str:
     return " ".join(each for each in re.split(r"(?<=[.!?]) (?=[A-Z])", text) if not COMMAND.search(each))
 
 
-def _settings(result: Mapping[str, Any]) -> str:
-    """Return the input shaper that a fit recommends, as Klipper's configuration has it."""
-    if not result.get("shapers"):
-        return ""
-    from ffcomp.shapers.calibration import ShaperAdvice, klipper_block
-
-    return klipper_block(tuple(ShaperAdvice(**each) for each in result["shapers"]))
+def keep_first_figure(report: Path, picture: Path) -> None:
+    """Write the first figure of a report, which the page shows below the answer; nothing where there is none."""
+    with suppress(OSError):
+        if figure := FIGURE.search(report.read_text(encoding="utf-8")):
+            picture.write_bytes(base64.b64decode(figure[1]))

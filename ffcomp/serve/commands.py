@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -56,15 +56,14 @@ def compensate(task: Task) -> list[Step]:
     (source,) = task.inputs
     target = str(task.out / source.name)
     words = ("compensate", str(source), "-m", task.machine, "-o", target, "--json", *task.words)
-    show = ("show", target, "-o", str(task.out / PICTURE), "--json")
+    show = ("show", target, "-o", str(task.out / PICTURE), *_report(task))
     return [Step(words, "compensating"), Step(show, "drawing", needed=False)]
 
 
 def compare(task: Task) -> list[Step]:
     """Compare a print's error with every input shaper's."""
     (source,) = task.inputs
-    page = str(task.out / REPORT)
-    words = ("compare", str(source), "-m", task.machine, "--report", page, "--json", *task.words)
+    words = ("compare", str(source), "-m", task.machine, *_report(task), *task.words)
     return [Step(words, "comparing with shapers")]
 
 
@@ -75,21 +74,13 @@ def plan(task: Task, purpose: str) -> list[Step]:
     return [Step(words, "planning moves")]
 
 
-def diagnose(task: Task) -> list[Step]:
-    """Find effects that the machine file lacks, from captures of a plan."""
-    return [Step(_measured(task, "diagnose", "--report", str(task.out / REPORT)), "reading the captures")]
-
-
-def fit(task: Task) -> list[Step]:
-    """Fit the machine file's parameters to captures of a plan."""
-    drawn = ("--figure", str(task.out / PICTURE), "--report", str(task.out / REPORT))
-    return [Step(_measured(task, "identify", "fit", *drawn), "fitting the machine file")]
-
-
-def scan(task: Task) -> list[Step]:
-    """Fit the machine file's parameters to pictures of a page."""
-    figure = ("--figure", str(task.out / PICTURE))
-    return [Step(_measured(task, "identify", "scan", *figure), "reading the pictures")]
+def measured(task: Task, verb: Sequence[str], doing: str) -> list[Step]:
+    """Read captures or pictures: the plan is the input that is JSON, or the print that was recorded."""
+    plans = [path for path in task.inputs if path.suffix in (".json", *PRINTS)]
+    captures = [str(path) for path in task.inputs if path not in plans]
+    plan_words = ("--plan", str(plans[0])) if plans else ()
+    better = str(task.out / BETTER)
+    return [Step((*verb, *captures, "-m", task.machine, *plan_words, "-o", better, *_report(task), *task.words), doing)]
 
 
 def update(task: Task) -> list[Step]:
@@ -97,7 +88,7 @@ def update(task: Task) -> list[Step]:
     history = Path(task.machine).with_suffix(UPDATES)
     if history.exists():
         shutil.copyfile(history, (task.out / BETTER).with_suffix(UPDATES))
-    return [Step(_measured(task, "identify", "update"), "updating the machine file")]
+    return measured(task, ("identify", "update"), "updating the machine file")
 
 
 def ringing(task: Task) -> list[Step]:
@@ -121,13 +112,8 @@ def warmup(task: Task) -> list[Step]:
     return [Step(("warmup",), "compiling, once after installing")]
 
 
-def _measured(task: Task, *verb: str) -> tuple[str, ...]:
-    """Words of a verb that reads captures: the plan is the input that is JSON, or the print that was recorded."""
-    plans = [path for path in task.inputs if path.suffix in (".json", *PRINTS)]
-    captures = [str(path) for path in task.inputs if path not in plans]
-    plan_words = ("--plan", str(plans[0])) if plans else ()
-    better = str(task.out / BETTER)
-    return (*verb, *captures, "-m", task.machine, *plan_words, "-o", better, "--json", *task.words)
+def _report(task: Task) -> tuple[str, ...]:
+    return "--json", "--report", str(task.out / REPORT)
 
 
 # -- options --
@@ -208,11 +194,24 @@ KINDS: dict[str, Kind] = {
     "compare": Kind(compare, _ONE, (partial(CompareRequest, _ANY, ""),), title="Compare {name}"),
     "plan": _plan_for("diagnose", title="Moves to diagnose {machine}"),
     "excite": _plan_for("identify", without=("seconds",), title="Moves to fit {machine}"),
-    "diagnose": Kind(diagnose, _CAPTURES, (partial(DiagnoseRequest, (_ANY,), ""),), title="Diagnosis of {machine}"),
-    "fit": Kind(fit, _CAPTURES, (partial(FitRequest, data=(_ANY,), machine=""), Weighed), title="Fit of {machine}"),
+    "diagnose": Kind(
+        partial(measured, verb=("diagnose",), doing="reading the captures"),
+        _CAPTURES,
+        (partial(DiagnoseRequest, (_ANY,), ""),),
+        title="Diagnosis of {machine}",
+    ),
+    "fit": Kind(
+        partial(measured, verb=("identify", "fit"), doing="fitting the machine file"),
+        _CAPTURES,
+        (partial(FitRequest, data=(_ANY,), machine=""), Weighed),
+        title="Fit of {machine}",
+    ),
     "page": _plan_for("scan", without=("at", "seconds", "repeats", "height_mm"), title="Page for {machine}"),
     "scan": Kind(
-        scan, _CAPTURES, (partial(ScanRequest, pictures=(_ANY,), plan=_ANY, machine=""),), title="Scan for {machine}"
+        partial(measured, verb=("identify", "scan"), doing="reading the pictures"),
+        _CAPTURES,
+        (partial(ScanRequest, pictures=(_ANY,), plan=_ANY, machine=""),),
+        title="Scan for {machine}",
     ),
     "ringing": Kind(ringing, _NONE, (partial(RingingRequest, machine="", output=_ANY),), title="Ringing of {machine}"),
     "update": Kind(

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ffcomp.serve.answers import Answer
+from ffcomp.result import Answer
 from ffcomp.serve.uploads import ID, Refused
 from gcode.atomic_write import replace_atomically
 
@@ -40,6 +40,7 @@ class Job:
     error: str = ""  # why it failed, in a sentence
     outputs: tuple[str, ...] = ()  # names of the files in `out/`
     answer: Answer = field(default_factory=Answer)  # as the page shows it
+    kept: str = ""  # the name of the machine that it has made and kept
     pid: int = 0  # while it runs
     printer_path: str = ""  # where the first input lies on the printer, if it comes from there
 

@@ -68,8 +68,7 @@ def kept_if_imported(job: Job, place: Path) -> Job:
     wanted = made[0].stem if NAME.fullmatch(made[0].stem) else "my-printer"
     taken = machine_paths()
     name = next(each for each in (wanted, *(f"{wanted}-{k}" for k in range(2, 1000))) if each not in taken)
-    kept = _copied(made[0], name)
-    return replace(job, answer=replace(job.answer, kept=kept))
+    return replace(job, kept=_copied(made[0], name))
 
 
 def _copied(source: Path, name: str) -> str:

@@ -7,6 +7,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from ffcomp.result import time_left
+
 TAIL = 1 << 16  # bytes of the log that are read
 OURS = "ffcomp: "
 _KILLED = (
@@ -47,10 +49,7 @@ def progress(events: Path, doing: str) -> tuple[float | None, str]:
     with suppress(IndexError, ValueError, KeyError):
         event = json.loads(tail(events).rstrip("\n").rsplit("\n", 1)[-1])
         left_s = event["left_s"]
-        if left_s is None:
-            return event["share"], event["stage"]
-        left = f"{left_s:.0f} s" if left_s < 100 else f"about {left_s / 60:.0f} min"
-        return event["share"], f"{event['stage']}, {left} left"
+        return event["share"], event["stage"] + ("" if left_s is None else f", {time_left(left_s)}")
     return None, doing
 
 

@@ -15,9 +15,10 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from ffcomp.result import Answer
 from ffcomp.serve import messages
-from ffcomp.serve.answers import Answer, answer_of
-from ffcomp.serve.commands import KINDS, Step, task_of
+from ffcomp.serve.answers import answer_of, keep_first_figure
+from ffcomp.serve.commands import KINDS, PICTURE, REPORT, Step, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.settings import MEGABYTE, RESERVE, Settings
 from ffcomp.serve.uploads import Refused
@@ -127,7 +128,9 @@ class Runner:
             job = self.find(id_)
             if job.state not in ENDED:
                 raise Refused(409, "It has not ended yet.")
-            job = replace(job, state=QUEUED, error="", answer=Answer(), outputs=(), started=0.0, ended=0.0, share=None)
+            job = replace(
+                job, state=QUEUED, error="", answer=Answer(), kept="", outputs=(), started=0.0, ended=0.0, share=None
+            )
             self._keep(job)
             self._changed.notify()
         return job
@@ -207,10 +210,11 @@ class Runner:
             if code != 0:
                 why = STOPPED if self._stopping else _why(code, place)
                 if step.needed:
-                    self._end_job(job.id, FAILED, error=why, answer=_answer(job, place))
+                    self._end_job(job.id, FAILED, error=why, answer=_answer(place))
                     return
                 notes.append(f"{step.doing} failed: {why}")
-        answer = _answer(job, place)
+        keep_first_figure(place / "out" / REPORT, place / "out" / PICTURE)
+        answer = _answer(place)
         self._end_job(job.id, DONE, answer=replace(answer, warnings=[*answer.warnings, *notes]))
 
     def _step(self, id_: str, step: Step, place: Path, number: int) -> int:
@@ -280,11 +284,11 @@ def _why(code: int, place: Path) -> str:
     return messages.why_failed(code, messages.log_end(place))
 
 
-def _answer(job: Job, place: Path) -> Answer:
+def _answer(place: Path) -> Answer:
     """Read what the first step printed; empty where that is no JSON."""
     with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
         result = json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1])
-        text = json.dumps(asdict(answer_of(job.kind, result)), ensure_ascii=False)
+        text = json.dumps(asdict(answer_of(result)), ensure_ascii=False)
         return Answer(**json.loads(messages.without_folder(text, place)))
     return Answer()
 

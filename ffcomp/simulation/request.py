@@ -40,7 +40,6 @@ class SimulateRequest(Request):
             ACCURACY,
             "--rate",
             metavar="HZ",
-            unit="Hz",
             low=800.0,
             high=25600.0,
         ),

@@ -41,7 +41,8 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 def test_a_print_comes_back_compensated_with_its_picture(page: Any) -> None:
     job = wait_for(page, started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel"))
     assert job["state"] == "done", job["error"]
-    assert job["outputs"] == ["a.gcode", "picture.svg"] and "(assumed)" in job["answer"]["lead"]
+    assert job["outputs"] == ["a.gcode", "picture.svg", "report.html"]
+    assert "(assumed)" in job["answer"]["headline"]
     assert job["answer"]["warnings"][0].startswith("The modes of kossel are assumed")
     got = page.get(f"/api/jobs/{job['id']}/files/a.gcode")
     assert b"; Processed by ffcomp" in got.content and "attachment" in got.headers["content-disposition"]
@@ -58,7 +59,7 @@ def test_a_configuration_becomes_a_machine_of_ones_own(page: Any) -> None:
     for name in ("my-delta", "my-delta-2"):  # the second time: never overwritten
         id_ = started(page, "import", [uploaded(page, "printer.cfg", config)], options={"name": "my-delta"})
         job = wait_for(page, id_)
-        assert job["state"] == "done" and job["answer"]["kept"] == name
+        assert job["state"] == "done" and job["kept"] == name
     own = [each["name"] for each in page.get("/api/state").json()["machines"] if each["own"]]
     assert own == ["my-delta", "my-delta-2"]
     job = wait_for(page, started(page, "import", [uploaded(page, "printer.cfg", b"[printer]\nkinematics: polar\n")]))

@@ -183,7 +183,6 @@ def test_each_way_to_know_my_machine_takes_six_clicks_at_most(
         fit = seen.page.locator(card("fit"))
         assert fit.locator("img").evaluate("(each) => each.naturalWidth") == 640
         assert "The model explains 9 of 9 responses." in fit.inner_text()
-        assert "[input_shaper]\nshaper_type_x: mzv\nshaper_freq_x: 48.0" in fit.locator("pre").first.inner_text()
         assert "carriage.number_3" not in fit.inner_text() and "Open the report" in fit.inner_text()
         assert not re.search(
             r"ffcomp (identify|machines) |--[a-z]", seen.page.inner_text("main")
@@ -213,7 +212,7 @@ def test_a_job_is_cancelled_and_started_again(quick: None, browser: Any, server:
         seen.page.select_option(".machines", "kossel")
         drop(seen, "prints", ("slow.gcode", b"slow"))
         press(seen, "compensate")
-        seen.page.wait_for_selector(".doing:text-is('compensating, 7 s left')", timeout=WAIT_MS)
+        seen.page.wait_for_selector(".doing:text-is('compensating, about 5 s left')", timeout=WAIT_MS)
         assert seen.page.evaluate("document.querySelector('progress').value") == 0.4
         seen.page.click("text=Cancel")
         seen.page.click(f"{card('compensate', 'cancelled')} >> text=Again", timeout=WAIT_MS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import sys
@@ -10,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 LIBRARY = Path(__file__).parents[2] / "models" / "library"
-PAGE = "<!doctype html><title>report</title><p id='it'>A report</p><script>document.body.dataset.ran = 'yes'</script>"
-
-
 PICTURE = b'<svg xmlns="http://www.w3.org/2000/svg" width="640" height="400"><rect width="9" height="9"/></svg>'
+IMAGE = f'<img src="data:image/svg+xml;base64,{base64.b64encode(PICTURE).decode()}">'
+RAN = "<script>document.body.dataset.ran = 'yes'</script>"
+PAGE = f"<!doctype html><title>report</title><p id='it'>A report</p>{IMAGE}{RAN}"
 
 
 def tell(stage: str, share: float | None = None, left_s: float | None = None) -> None:
@@ -40,7 +41,7 @@ def compensate(words: list[str]) -> dict[str, Any]:
 
 
 def show(words: list[str]) -> dict[str, Any]:
-    Path(value(words, "-o")).write_bytes(PICTURE)
+    Path(value(words, "--report")).write_text(PAGE)
     return {}
 
 
@@ -75,13 +76,10 @@ def identify(words: list[str]) -> dict[str, Any]:
         Path(value(words, "-o")).with_suffix(".updates.jsonl").write_text("{}\n")
         return answer("3 layers: 5 % of their motion is unexplained.", [["a", "48"]], [], [])
     if words[0] == "fit":
-        Path(value(words, "--figure")).write_bytes(PICTURE)
         Path(value(words, "--report")).write_text(PAGE)
-    shaper = {"shaper": "mzv", "frequency_hz": 48.0, "remaining_vibration": 0.01, "max_accel_mm_per_s2": 9000.0}
     numbers = [[f"carriage.number_{k}", "48 (46.4 to 49.6)"] for k in range(16)]
     warnings = ["The mass is weak. Weigh it: --known effector.total_mass_kg=0.3."]
-    told = answer("The model explains 9 of 9 responses.", numbers, warnings, ["Look at it: ffcomp machines show x"])
-    return told | {"shapers": [{"axis": axis, **shaper} for axis in "xy"]}
+    return answer("The model explains 9 of 9 responses.", numbers, warnings, ["Look at it: ffcomp machines show x"])
 
 
 def machines(words: list[str]) -> dict[str, Any]:

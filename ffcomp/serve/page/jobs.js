@@ -39,7 +39,7 @@ function cardOf(job, page) {
     make("span", { className: `state ${job.state}`, textContent: WORDS[job.state] }), " ", make("span", { className: "when", textContent: when(job) }))));
   if (["queued", "running"].includes(job.state)) card.append(...underway(job));
   if (job.state === "failed") card.append(make("p", { className: "error", textContent: job.error }));
-  if (job.state === "done" || job.answer.lead) card.append(...found(job));
+  if (job.state === "done" || job.answer.headline) card.append(...found(job));
   card.append(buttons(job, page));
   if (job.state !== "queued") card.append(log(job));
   return card;
@@ -58,25 +58,24 @@ function underway(job) {
 }
 
 function found(job) {
-  const { lead, facts = [], warnings = [], to_do: toDo = [], kept, code } = job.answer;
+  const { headline, facts = [], warnings = [], next_steps: steps = [] } = job.answer;
   const parts = [];
-  if (lead) parts.push(make("p", { className: "lead", textContent: lead }));
+  if (headline) parts.push(make("p", { className: "lead", textContent: headline }));
   if (job.state === "done" && job.outputs.includes("picture.svg")) parts.push(picture(job));
-  if (kept) parts.push(make("p", { className: "read", textContent: `Kept among your machines as ${kept}, and chosen.` }));
+  if (job.kept) parts.push(make("p", { className: "read", textContent: `Kept among your machines as ${job.kept}, and chosen.` }));
   if (facts.length) {
     const rows = facts.map(([name, value]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), make("td", { textContent: value })));
     const table = make("table", { className: "facts" }, make("tbody", {}, ...rows));
     parts.push(facts.length > MOST_FACTS ? make("details", {}, make("summary", { textContent: `All ${facts.length} numbers` }), table) : table);
   }
-  if (code) parts.push(make("p", { className: "read", textContent: "For those who stay with an input shaper, in printer.cfg:" }), make("pre", { textContent: code }));
   if (warnings.length) parts.push(list("Mind", warnings));
-  if (toDo.length) parts.push(list("To do", toDo));
+  if (steps.length) parts.push(list("To do", steps));
   return parts;
 }
 
 function picture(job) {
   const source = file(job, "picture.svg", true);
-  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("img", { src: source, loading: "lazy", alt: job.answer.lead || job.title }));
+  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("img", { src: source, loading: "lazy", alt: job.answer.headline || job.title }));
 }
 
 function list(title, sentences) {

@@ -206,7 +206,7 @@ async function start(kind, files, more = {}) {
 
 const imports = new Set(); // that this page has started: their machine is chosen as soon as it is there
 function chooseImported(jobs) {
-  for (const job of jobs) if (imports.has(job.id) && job.answer.kept) { imports.delete(job.id); choose(job.answer.kept); }
+  for (const job of jobs) if (imports.has(job.id) && job.kept) { imports.delete(job.id); choose(job.kept); }
 }
 
 const STARTS = {

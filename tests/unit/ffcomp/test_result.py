@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from ffcomp.numerics.serialise import keys
-from ffcomp.result import Result
+from ffcomp.result import Answer, Result
 from ffcomp.serve.answers import answer_of
 
 HEADLINE, FACT, WARNING, STEP = "2 < 3 µm.", ("Print time", "1.0 s"), "It may be off.", "Measure."
@@ -33,8 +33,7 @@ def test_everybody_has_the_same_words() -> None:
     told = found.to_dict()
     assert told["schema"] == "found/1" and told["number"] == 1.0
     assert told["place"] == "here" and told["unknown"] is None  # beyond an attribute that is None
-    page = answer_of("any", told)
-    assert (page.lead, page.facts, page.warnings, page.to_do) == (HEADLINE, [[*FACT]], [WARNING], [STEP])
+    assert answer_of(told) == Answer(HEADLINE, [FACT], [WARNING], [STEP])
     assert repr(found) == f"<Found: {HEADLINE}>"
     notebook = found._repr_html_()
     assert "2 &lt; 3 µm." in notebook and all(each in notebook for each in (*FACT, WARNING, STEP))
@@ -45,9 +44,9 @@ def test_the_page_leaves_commands_out_and_findings_in() -> None:
         "headline": "It fits.",
         "facts": [["Against none", "ffcomp makes this print worse. See ffcomp show out.gcode."]],
         "warnings": ["Modes are assumed. Measure them: `ffcomp record plan`.", "Give --known mass=1."],
-        "next_steps": ["Look at it: ffcomp show out.gcode", "Print it.", "Measure first: ffcomp identify fit"],
+        "next_steps": ["Look at it: ffcomp show out.gcode", "Print it.", "Measure first: `ffcomp record plan`"],
     }
-    shown = answer_of("compensate", {"answer": told})
-    assert list(shown.facts) == [["Against none", "ffcomp makes this print worse."]]
+    shown = answer_of({"answer": told})
+    assert list(shown.facts) == [("Against none", "ffcomp makes this print worse.")]
     assert list(shown.warnings) == ["Modes are assumed.", "Give --known mass=1."]  # no warning is lost
-    assert list(shown.to_do) == ["Print it.", "Measure the machine: see Know my machine."]
+    assert list(shown.next_steps) == ["Print it.", "Measure the machine: see Know my machine."]

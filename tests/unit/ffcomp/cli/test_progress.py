@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.common import quiet
-from ffcomp.cli.progress import Progress
+from ffcomp.cli.progress import Progress, SearchProgress
+from ffcomp.numerics.stages import Now, Stage
+from ffcomp.result import time_left
 from ffcomp.serve.messages import progress as page_progress
 
 
@@ -35,6 +37,21 @@ def test_a_share_is_a_bar_on_a_terminal_and_lines_elsewhere(
     assert all(each in err for each in said), err
 
 
+def test_the_time_left_is_said_in_round_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, events = 100.0, tmp_path / "events"
+    monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
+    monkeypatch.setenv("FFCOMP_EVENTS", str(events))
+    said = []
+    with quiet(True):
+        shown, sentences = SearchProgress((10.0, 30.0)), (Now("a"), Now("b"), Stage(2, "the rest"))
+        for at, sentence in zip((100.0, 105.0, 143.0), sentences, strict=True):
+            clock = at
+            shown(sentence)
+            said.append(page_progress(events, "")[1])
+    assert said == ["a", "b, about 35 s left", "the rest, about 75 s left"]
+    assert time_left(880.0) == "about 15 min left"
+
+
 def test_programs_read_events(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -50,6 +67,6 @@ def test_programs_read_events(
         progress(0.75)
     assert capsys.readouterr() == ("", "")
     assert json.loads(events.read_text().splitlines()[-1]) == {"stage": "compensating", "share": 0.75, "left_s": 5.0}
-    assert page_progress(events, "") == (0.75, "compensating, 5 s left")
+    assert page_progress(events, "") == (0.75, "compensating, about 5 s left")
     events.write_text('{"stage": "trying", "share": null, "left_s": 195.0}\n')
     assert page_progress(events, "") == (None, "trying, about 3 min left")
