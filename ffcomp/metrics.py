@@ -71,7 +71,6 @@ def build_track(
     contour_mm: FloatArray,
     print_time_s: float,
     peak_command_acceleration: float,
-    weight: FloatArray | None = None,
 ) -> Track:
     """Build the TRACK of one motion.
 
@@ -84,10 +83,8 @@ def build_track(
     print_time_s : float
     peak_command_acceleration : float
         In mm/s², of the actuators' command, see `peak_acceleration`.
-    weight : (m,) array, optional
-        Of every sample of the contour error; None: all alike.
     """
-    contour = contour_statistics(contour_mm, weight)
+    contour = contour_statistics(contour_mm)
     return Track(
         tracking_rms_um=at_equal_times.rms_mm * 1e3,
         tracking_max_um=at_equal_times.max_mm * 1e3,
@@ -137,36 +134,20 @@ def _step(t: FloatArray) -> float:
     return dt
 
 
-def rms(x: FloatArray, weight: FloatArray | None = None) -> float:
-    """Return the root mean square of all values, weighted if there are weights; 0 if there are none."""
-    return float(np.sqrt(np.average(x**2, weights=weight))) if x.size else 0.0
+def rms(x: FloatArray) -> float:
+    """Return the root mean square of all values; 0 if there are none."""
+    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
 
 
 # ---- contour -------------------------------------------------------------------------------------
 
 
-def contour_statistics(contour_mm: FloatArray, weight: FloatArray | None = None) -> ContourStatistics:
-    """Return rms, 99th percentile and maximum of a contour error; zeros if there are no samples.
-
-    Parameters
-    ----------
-    contour_mm : (m,) array
-    weight : (m,) array, optional
-        How often every sample counts for rms and percentile; None: all alike.
-    """
+def contour_statistics(contour_mm: FloatArray) -> ContourStatistics:
+    """Return rms, 99th percentile and maximum of a contour error, (m,) mm; zeros if there are no samples."""
     if not contour_mm.size:
         return ContourStatistics(0.0, 0.0, 0.0)
-    p99 = float(np.percentile(contour_mm, 99)) if weight is None else _percentile(contour_mm, weight, 0.99)
-    return ContourStatistics(rms(contour_mm, weight) * 1e3, p99 * 1e3, float(np.max(contour_mm)) * 1e3)
-
-
-def _percentile(x: FloatArray, weight: FloatArray, share: float) -> float:
-    """Return a weighted percentile, between neighbours in proportion; as `np.percentile` with equal weights."""
-    order = np.argsort(x)
-    heavy = weight[order]
-    middle = np.cumsum(heavy) - heavy / 2
-    middle -= middle[0]
-    return float(np.interp(share, middle / max(middle[-1], np.finfo(float).tiny), x[order]))
+    p99 = float(np.percentile(contour_mm, 99))
+    return ContourStatistics(rms(contour_mm) * 1e3, p99 * 1e3, float(np.max(contour_mm)) * 1e3)
 
 
 def contour_error(

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from ffcomp.comparison import methods as every
 from ffcomp.comparison.equal_quality import equal_qualities, within_limits
-from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour, weights
+from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import SlowingSettings, settings_for
@@ -144,7 +144,7 @@ def _own_row(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) 
 def _judged(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, Any]:
     """Execute a method on the simulated printer."""
     (executions,), within = _executed(method, slices, [plant])
-    statistics = contour_statistics(contour(executions), weights(executions))
+    statistics = contour_statistics(contour(executions))
     peaks = [max(_peak_m_per_s2(each, span_s) for each in executions) for span_s in SPANS_S]
     errors = {"rms_um": statistics.rms_um, "p99_um": statistics.p99_um, "max_um": statistics.max_um}
     return {**errors, "peaks_m_per_s2": peaks, "within": within}
@@ -191,7 +191,7 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
     rows: list[dict[str, Any]] = []
     for method in (*methods, ours, robust):
         executions, _ = _executed(method, own.off, plants)
-        each = [rms(contour(on), weights(on)) * 1e3 for on in executions]
+        each = [rms(contour(on)) * 1e3 for on in executions]
         rows.append({"label": method.label, "median_um": float(np.median(each)), "worst_um": max(each)})
     best = min(row["median_um"] for row in rows[:-2])
     return {

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, execute, in_parallel, weights
+from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, execute, in_parallel
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.result import EqualQuality
 from ffcomp.comparison.sampling import Print, PrintSlice, accelerated
@@ -174,7 +174,7 @@ def _p99_um(
 
 
 def _of(executions: Sequence[Execution]) -> float:
-    return contour_statistics(contour(executions), weights(executions)).p99_um if executions else np.inf
+    return contour_statistics(contour(executions)).p99_um if executions else np.inf
 
 
 def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:

@@ -96,19 +96,6 @@ def _contour(execution: Execution) -> FloatArray:
     return contour_error(*execution.print_slice.corners, due, execution.nozzle[execution.counted])
 
 
-def weights(executions: Sequence[Execution]) -> FloatArray | None:
-    """Return how often each counted sample counts, (m,); None where all count alike."""
-    if all(each.print_slice.weight is None for each in executions):
-        return None
-    return np.concatenate([_weights(each) for each in executions])
-
-
-def _weights(execution: Execution) -> FloatArray:
-    due = execution.motion.clock.plan_time(execution.t[execution.counted])
-    weight = execution.print_slice.weight
-    return np.ones(len(due)) if weight is None else weight[execution.print_slice.trajectory.move_at(due)]
-
-
 def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
     """Evaluate one method over all slices; NothingToDo if every slice is shorter than SETTLE_S."""
     executions = [each for each in executions if each.counted.any()]
@@ -130,7 +117,6 @@ def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
         layer=np.concatenate([each.print_slice.layer[m] for each, m in zip(executions, moves, strict=True)]),
         feature=np.concatenate([each.print_slice.feature[m] for each, m in zip(executions, moves, strict=True)]),
         extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
-        weight=np.concatenate([_weights(each) for each in executions]),
     )
     return MethodEvaluation(samples, np.concatenate(late), delay)
 
@@ -145,14 +131,13 @@ def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, p
         evaluation.delay_s,
         rms(np.linalg.norm((s.nozzle - evaluation.late)[which], axis=1)),
     )
-    return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration, s.weight[which])
+    return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration)
 
 
 def contour_numbers(samples: Samples, which: BoolArray) -> Error:
     """Return the contour error of some of the samples: which : (m,)."""
-    weight = samples.weight[which]
-    error = contour_statistics(samples.contour[which], weight)
-    share = float(weight.sum() / samples.weight.sum()) if weight.size else 0.0
+    error = contour_statistics(samples.contour[which])
+    share = float(np.count_nonzero(which)) / max(len(which), 1)
     return Error(error.rms_um, error.p99_um, error.max_um, share)
 
 

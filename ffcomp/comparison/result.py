@@ -32,7 +32,6 @@ class Samples:
     layer: IntArray  # (m,) the layer's number in the print, from 0
     feature: IntArray  # (m,) index into Comparison.features: the slicer's ;TYPE:
     extruding: BoolArray  # (m,) plastic flows, so that it shows
-    weight: FloatArray  # (m,) how often it counts: 1 on average, and everywhere when the whole print is evaluated
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,6 @@ def samples(amplitude_mm: float) -> Samples:
         layer=side // 4,
         feature=1 + side % 2,
         extruding=side % 4 != 3,
-        weight=np.ones(count),
     )
 
 
