@@ -40,14 +40,6 @@ def test_a_delta_becomes_a_machine_that_checks_well(run, own_folder: Path, tmp_p
     assert "Not measured: carriage.mass_kg" in checked.stdout
 
 
-def test_nothing_is_overwritten(run, tmp_path: Path) -> None:
-    there = written(tmp_path, "mine", "x.toml")
-    result = run(written(tmp_path, Delta().klipper()), "-o", there)
-    assert result.exit_code == 2
-    assert "exists already" in result.stderr
-    assert there.read_text() == "mine"
-
-
 def test_marlin_is_told_its_kinematics(run, tmp_path: Path) -> None:
     log = "echo:  M92 X80 Y80 Z400\necho:  M203 X300 Y300 Z10\necho:  M201 Z100\necho:  M593 F40 D0.1\n"
     result = run(written(tmp_path, log), "-o", tmp_path / "a.toml")
@@ -59,16 +51,6 @@ def test_marlin_is_told_its_kinematics(run, tmp_path: Path) -> None:
         *(f"kinematics.{axis}_range_mm" for axis in "xyz"),
         "limits.acceleration_mm_per_s2",
     }
-
-
-@pytest.mark.parametrize(("name", "code"), [("none.cfg", 2), (".", 2), ("garbage", 5), ("bad_number", 5)])
-def test_what_cannot_be_read_leaves_no_file(name: str, code: int, run, own_folder: Path, tmp_path: Path) -> None:
-    written(tmp_path, b"\xff\xfe\x00\x01", "garbage")
-    written(tmp_path, Delta().klipper().replace("131.25", "13.125 cm"), "bad_number")
-    result = run(tmp_path / name)
-    assert result.exit_code == code, result.output
-    assert result.stderr.startswith("ffcomp: ")
-    assert not own_folder.exists()
 
 
 M503 = "M92 X80 Y80 Z400 E93\nM201 X500 Y500 Z100 E5000\nM203 X500 Y500 Z5 E25\nM204 P500 R500 T500\nM205 J0.08\n"

@@ -20,7 +20,7 @@ import pytest
 
 from ffcomp import __version__
 from ffcomp.cli.integrations import integrations as app
-from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, wrapper
+from ffcomp.integrations.recipes import RECIPES, cura_folders, wrapper
 from gcode.embedded import already_processed, original
 from tests.support.cli import CliRunner
 from tests.support.moonraker import metadata, thumbnail
@@ -340,22 +340,6 @@ def test_moonraker_processes_a_print_once_and_reads_it_as_before(
 
 
 # -- recipes --
-
-
-@pytest.mark.parametrize("name", RECIPES)
-def test_every_recipe_shows_a_line_that_can_be_pasted(name: str) -> None:
-    text = instructions(RECIPES[name], "my delta.toml", "/opt/the tool/ffcomp")
-    assert "{" not in text and all(len(line) <= 120 for line in text.splitlines())
-    lines = [line for line in text.splitlines() if "the tool" in line]
-    assert [shlex.split(line)[:4] for line in lines] == [
-        ["/opt/the tool/ffcomp", "compensate", "--machine", "my delta.toml"]
-    ] * (name not in ("cura", "moonraker"))
-    answer = CliRunner().invoke(app, ["show", name, "-m", "my delta.toml"])
-    assert (
-        answer.exit_code == 0
-        and answer.stdout == f"{instructions(RECIPES[name], str(Path('my delta.toml').resolve()), executable())}\n"
-    )
-    assert f"`ffcomp integrations show {name}`" in (ROOT / "docs" / "SLICERS.md").read_text(encoding="utf-8")
 
 
 def test_install_puts_a_wrapper_where_cura_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

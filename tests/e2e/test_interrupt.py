@@ -68,16 +68,6 @@ def test_after_the_file_has_taken_its_place(printed: Path, monkeypatch: pytest.M
     assert CliRunner().invoke(app, ["restore", str(printed)]).exit_code == 0 and printed.read_bytes() == before
 
 
-@pytest.mark.parametrize("wrapped", [False, True], ids=["in Python", "in compiled code"])
-def test_several_files_are_counted_as_they_are(printed: Path, monkeypatch: pytest.MonkeyPatch, wrapped: bool) -> None:
-    other = printed.with_name("other.gcode")
-    other.write_bytes(printed.read_bytes())
-    interrupted(monkeypatch, os, "replace", after=True, wrapped=wrapped)
-    call = CliRunner().invoke(app, ["compensate", str(printed), str(other), "-m", MACHINE, "--no-predict"])
-    assert call.exit_code == 130 and "Interrupted; 1 of 2 files are done" in call.output
-    assert [b"Processed by" in path.read_bytes() for path in (printed, other)] == [True, False]
-
-
 def test_what_is_in_place_is_known_from_the_file_itself(tmp_path: Path) -> None:
     target, noted = tmp_path / "a", drafts_noted()
     with replacing(target) as file:

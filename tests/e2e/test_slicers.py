@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli import app as command_line
-from ffcomp.cli.log import logged, note
-from ffcomp.integrations.slicer import call_warnings, read_call
+from ffcomp.cli.log import logged
 from gcode.embedded import already_processed, original
 from gcode.reader import read_program
 from tests.support.cli import CliRunner, Result
@@ -115,17 +114,6 @@ def test_a_fault_of_ours_leaves_its_traceback(log: Path, capsys: pytest.CaptureF
     assert str(log) in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("place", ["/dev/full", "{file}/ffcomp.log", "{folder}", "off"])
-def test_a_log_that_cannot_be_written_is_done_without(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
-) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("FFCOMP_LOG", place.format(file=tmp_path / "file", folder=tmp_path))
-    with logged(["x"]):
-        note("heard by nobody")
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
 # -- PrusaSlicer, really --
 
 needs_slicer = pytest.mark.skipif(shutil.which("prusa-slicer") is None, reason="no prusa-slicer here to slice with")
@@ -214,22 +202,7 @@ def test_what_prusaslicer_exports_is_the_compensated_print(
     assert ("another script after ffcomp (true)" in text) == ("true" in more)
 
 
-@needs_slicer
-def test_an_export_fails_when_ffcomp_does_and_says_why(slicer: Slicer) -> None:
-    answer = slicer.slice("out.gcode", f"{slicer.program} compensate -m mp-delta-por", **KLIPPER)
-    assert answer.returncode != 0
-    assert "Error code: 5" in answer.stderr and "Did you mean 'mp-delta-pro'?" in answer.stderr
-
-
 # -- Cura, really --
 
 UNUSED = ["Toolbox", "UpdateChecker", "FirmwareUpdateChecker", "SliceInfoPlugin", "DigitalLibrary", "CuraDrive"]
 UNUSED += ["RemovableDriveOutputDevice", "USBPrinting", "UM3NetworkPrinting"]
-
-
-def test_other_scripts_and_strange_flavors_are_warned_of() -> None:
-    environment = {"SLIC3R_GCODE_FLAVOR": "sailfish", "SLIC3R_POST_PROCESS": '"/b/ffcomp compensate";"/b/arcs"'}
-    flavor, script = call_warnings(read_call(environment))
-    assert "sailfish" in flavor and "/b/arcs" in script
-    fine = {"SLIC3R_GCODE_FLAVOR": "klipper", "SLIC3R_POST_PROCESS": '"/b/arcs\\n/b/ffcomp compensate -m x"'}
-    assert call_warnings(read_call(fine)) == [] and call_warnings(read_call({})) == []

@@ -11,23 +11,18 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation.chunks import LONGEST_S, Chunk, Splitting, split_chunks
-from ffcomp.compensation.job import StepOutput
-from ffcomp.faster.bound import Bound
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
-from ffcomp.steps.archive import read_steps
-from ffcomp.steps.sink import Board
 from gcode.dialect import KLIPPER, MARLIN
 from gcode.embedded import original
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from models.file import load_machine
 from models.machine import Machine
-from tests.support.compensated import compensated, job
+from tests.support.compensated import compensated
 from tests.support.marlin_played import played, score
-from tests.support.steps import read_events
 from validation.invariants import violations
 
 PRINTS = Path(__file__).parents[2] / "sample_prints"
@@ -135,24 +130,6 @@ def test_marlins_steps_behind_a_cut_leave_the_same_error(machine: Machine, small
     assert cut.p99_um == pytest.approx(whole.p99_um, rel=0.05)
 
 
-def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_spirals: None, tmp_path: Path) -> None:
-    found = []
-    for longest in (1000, 10**9):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("ffcomp.compensation.chunks.MOST_MOVES", longest)
-            target = tmp_path / f"{longest}.npz"
-            job(spiral, machine, predict=False).write_steps(target, StepOutput(Board(400.0), None))
-            found.append((read_steps(target), read_events(target)))
-    (cut_motors, cut_events), (motors, events) = found
-    assert cut_events[1] == events[1]
-    np.testing.assert_allclose(cut_events[0], events[0], atol=1e-6)
-    for name in "abce":
-        assert abs(len(cut_motors[name].time_s) - len(motors[name].time_s)) <= 4
-        t = np.linspace(0.2, motors["a"].time_s[-1], 5000)
-        levels = [m[name].level_mm[np.searchsorted(m[name].time_s, t)] for m in (cut_motors, motors)]
-        assert np.abs(levels[0] - levels[1]).max() <= 1.01 * motors[name].step_mm  # half a step apart may be a step
-
-
 VASE = b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n"
 
 
@@ -203,17 +180,6 @@ def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: 
     assert {record.layer for record in done.slowed} == set(range(7))
 
 
-def test_no_filament_is_lost_where_whole_steps_move_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Marlin's steps a second keep a motion that was slowed down from ending at a knot exactly."""
-    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
-    machine = load_machine("ender-3")
-    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
-    data = vase(1150, 4800.0)
-    text, result = compensated(data, tight, flavor="marlin", predict=False, offset=(110.0, 110.0))
-    filament = [float(read_program(each, flavor="marlin").moves.end[-1, 3]) for each in (data, text)]
-    assert result.statistics.slowed and filament[1] == pytest.approx(filament[0], abs=1e-5)
-
-
 def test_marlins_count_of_filament_goes_on_behind_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """M221 is in our numbers while a block is open, so that the file's own absolute E is named again at each cut."""
     monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
@@ -225,20 +191,3 @@ def test_marlins_count_of_filament_goes_on_behind_a_cut(monkeypatch: pytest.Monk
     assert text.count(b"G92 E") >= 4 and text.count(b"M221 S100") == text.count(b"M221 S90 ; ffcomp")
     assert made.end[-1, 3] == pytest.approx(0.9 * 72.0, abs=1e-4)
     assert np.diff(made.end[:, 3]).max() < 0.3 and np.diff(made.end[:, 3]).min() > -1e-4
-
-
-def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Around its cuts it keeps the slicer's motion; the whole is known to be right by what holds of every file."""
-    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 12.0)
-    certain = replace(machine, uncertainty={"default": 0.0})
-    data = vase(1150, 2400.0)
-    bound = Bound(50.0, max_flow_mm3_per_s=20.0, min_layer_time_s=0.0)
-    text, result = compensated(data, certain, flavor=KLIPPER, predict=False, bound=bound)
-    done, planned = result.statistics, plan_program(read_program(data, flavor=KLIPPER), machine)
-    assert original(text) == data and violations(data, text, certain, flavor=KLIPPER) == []
-    assert done.warnings == ()
-    assert done.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
-    assert done.print_time_s < 0.9 * done.original_print_time_s
-    assert plan_program(read_program(text, flavor=KLIPPER), machine).trajectory.end_t == pytest.approx(
-        done.print_time_s, abs=0.05
-    )

@@ -19,7 +19,7 @@ import pytest
 from ffcomp.comparison.evaluation import by
 from ffcomp.comparison.result import Comparison, Peaks
 from ffcomp.comparison.sentences import cautions, findings
-from tests.support.browser import Visit, chromium, hard_to_read, visit
+from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
     MACHINE,
@@ -125,24 +125,7 @@ def test_nothing_is_cut_with_every_table_open(browser: Any, page: Path, width: i
         assert clean(seen), (seen.errors, seen.requests)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_words_are_readable(browser: Any, page: Path, scheme: str) -> None:
-    with visit(browser, page) as seen:
-        seen.page.emulate_media(color_scheme=scheme)
-        assert not hard_to_read(seen)
-
-
 def test_nothing_from_a_file_is_executed(browser: Any, nasty_page: Path) -> None:
     with visit(browser, nasty_page) as seen:
         assert "alert(1)" in seen.page.locator("h1").inner_text()
         assert clean(seen), (seen.errors, seen.requests)
-
-
-def test_bad_news_are_told_as_plainly() -> None:
-    said = verdict(comparison(none_um=10.0, best_um=5.0, ours_um=30.0))
-    assert "makes this print worse, do not use it here" in said[0]
-    assert "Use the shaper." in said[1]
-    hard = changed(comparison(none_um=10.0, best_um=5.0, ours_um=30.0), "mzv", peaks=Peaks(250.0, 1.5e4, True))
-    assert "if the carriages can do 15,000 mm/s² (15 m/s²), where ffcomp needs 6,000 mm/s²" in verdict(hard)[1]
-    assert "no difference worth the trouble" in verdict(comparison(none_um=10.0, ours_um=9.8))[0]
-    assert "the same as ffcomp" in verdict(comparison(best_um=2.0))[1]

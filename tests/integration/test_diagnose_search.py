@@ -89,18 +89,6 @@ def test_the_hidden_effect_is_named_among_rivals(name: str) -> None:
     assert all(place.after < 0.1 for place in diagnosis.held_out)
 
 
-def test_two_hidden_effects_are_both_named() -> None:
-    _, diagnosis = found(
-        ("belt_stiffness", "guide_damping", "command_delay"),
-        TWO,
-        belt_stiffness={"relative_change": -0.2},
-        guide_damping={"added_n_s_per_m": 12.0},
-    )
-    assert diagnosis.named is not None and diagnosis.named.names == ("belt_stiffness", "guide_damping")
-    assert diagnosis.final.values["effects.belt_stiffness.relative_change"] == pytest.approx(-0.2, rel=0.02)
-    assert diagnosis.final.values["effects.guide_damping.added_n_s_per_m"] == pytest.approx(12.0, rel=0.03)
-
-
 def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
     plant, diagnosis = found(("guide_damping",), TWO, cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
     assert diagnosis.verdict == "unknown" and diagnosis.rejections and diagnosis.named is None

@@ -11,7 +11,7 @@ import pytest
 from ffcomp.compensation.job import Job, Options
 from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from gcode.embedded import OURS, original
-from models.file import check_text, load_machine
+from models.file import load_machine
 from models.machine import Machine
 
 SQUARE = "G1 X120 Y100 E1 F3000\nG1 X120 Y120 E1\n"
@@ -81,21 +81,3 @@ def test_a_shaper_that_is_not_known_is_left_alone_and_warned_of() -> None:
     assert lines_of(machine_with(), keep_shaper=None)[1] == [], "none: there is nothing to say"
     other = machine_with("M593 X F40")  # of another firmware
     assert shaper_lines(lines_of(other)[0]) == []
-
-
-def test_what_the_print_itself_sets_holds_at_its_end() -> None:
-    own = ["SET_INPUT_SHAPER SHAPER_FREQ_X=50", "SET_INPUT_SHAPER SHAPER_FREQ_Z=60"]
-    text = f"{own[0]}\n" + PRINT.replace("M106 S9", own[1])
-    off = OFF["klipper"]
-    lines, _ = lines_of(machine_with("SET_INPUT_SHAPER SHAPER_FREQ_X=58"), text)
-    assert shaper_lines(lines) == [
-        own[0], off, own[1], f"{off} SHAPER_FREQ_Z=0", "SET_INPUT_SHAPER SHAPER_FREQ_X=58", *own
-    ]  # fmt: skip
-    assert shaper_lines(lines_of(machine_with(), text)[0])[:2] == [own[0], off], "a print that switches one on"
-
-
-def test_only_commands_of_a_shaper_are_taken_from_a_machine_file() -> None:
-    text = Path(load_machine("voron-300").path).read_text(encoding="utf-8")
-    for command in ("M112", "M593 X F40\\nM112", "SET_INPUT_SHAPER A=1; M112"):
-        with pytest.raises(ValueError, match="must be a command that switches an input shaper on"):
-            check_text(text.replace("[firmware]\n", f'[firmware]\ninput_shaper = ["{command}"]\n'), "mine.toml")

@@ -23,7 +23,6 @@ from tests.support.server import client, started, uploaded, wait_for
 
 READY = ".machines optgroup"
 PRINT = Path(__file__).parents[2] / "docs" / "examples" / "wiggle.gcode"
-CONFIG = PRINT.with_name("printer.cfg")
 WAIT_MS = 60_000
 
 
@@ -73,11 +72,6 @@ def payload(name: str, content: bytes) -> dict[str, Any]:
     return {"name": name, "mimeType": "application/octet-stream", "buffer": content}
 
 
-def press(seen: Visit, kind: str) -> None:
-    seen.page.wait_for_selector(f"[data-job={kind}]:enabled", timeout=WAIT_MS)
-    seen.page.click(f"[data-job={kind}]")
-
-
 def check(seen: Visit, server: Any, width: int) -> None:
     """Nothing went wrong, came from elsewhere, or is cut."""
     assert seen.errors == [] and seen.requests == []
@@ -112,37 +106,6 @@ def test_from_nothing_to_a_compensated_print_in_five_clicks_and_two_minutes(
         check(seen, server, 1200)
     print({name: round(seconds, 1) for name, seconds in times.items()})
     assert times["downloaded"] < 120.0, times
-
-
-def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser: Any, server: Any) -> None:
-    width = 1200
-    with visit(browser, address(server), width) as seen:
-        attached(seen, READY)
-        seen.page.click("#tab-machine")
-        drop(seen, "config", ("my delta.cfg", CONFIG.read_bytes()))
-        assert seen.page.input_value("#machine [name=name]") == "my-delta"
-        press(seen, "import")
-        seen.page.wait_for_selector("text=Kept among your machines as my-delta, and chosen.", timeout=WAIT_MS)
-        assert seen.page.input_value(".machines") == "my-delta"
-        seen.page.click("#tab-measure")
-        seen.page.click("#sensor summary")
-        seen.page.fill("[name=at]", "0,0")
-        press(seen, "plan")
-        seen.page.wait_for_selector(card("plan"), timeout=WAIT_MS)
-        assert "Download moves.gcode" in seen.page.inner_text(card("plan"))
-        drop(seen, "captures", ("adxl345-a-1.csv", b"1"), ("adxl345-a-2.csv", b"2"))
-        seen.page.wait_for_selector("[data-job=diagnose]:enabled", timeout=WAIT_MS)
-        assert seen.page.is_disabled("[data-job=fit]")  # these moves were made for a diagnosis
-        assert "Fit its numbers: first choose moves to fit the numbers" in seen.page.inner_text("#sensor .why >> nth=1")
-        press(seen, "diagnose")
-        seen.page.wait_for_selector(card("diagnose"), timeout=WAIT_MS)
-        assert "Coulomb friction is missing." in seen.page.inner_text(card("diagnose"))
-        seen.page.click("text=Keep as my machine")
-        seen.page.wait_for_selector("text=Kept and chosen: my-delta-measured", timeout=WAIT_MS)
-        assert seen.page.input_value(".machines") == "my-delta-measured"
-        check(seen, server, width)
-        own = seen.page.locator(".machines optgroup[label=Yours] option").all_inner_texts()
-        assert own == ["my-delta", "my-delta-measured"]
 
 
 def test_each_way_to_know_my_machine_takes_six_clicks_at_most(
@@ -204,24 +167,6 @@ def test_each_way_to_know_my_machine_takes_six_clicks_at_most(
         check(seen, server, 390)
     name = "kossel" + 4 * "-measured"
     assert (user_folder() / f"{name}.updates.jsonl").read_text() == "{}\n"  # the history goes with the file
-
-
-def test_a_job_is_cancelled_and_started_again(quick: None, browser: Any, server: Any) -> None:
-    with visit(browser, address(server), 390) as seen:
-        attached(seen, READY)
-        seen.page.select_option(".machines", "kossel")
-        drop(seen, "prints", ("slow.gcode", b"slow"))
-        press(seen, "compensate")
-        seen.page.wait_for_selector(".doing:text-is('compensating, about 5 s left')", timeout=WAIT_MS)
-        assert seen.page.evaluate("document.querySelector('progress').value") == 0.4
-        seen.page.click("text=Cancel")
-        seen.page.click(f"{card('compensate', 'cancelled')} >> text=Again", timeout=WAIT_MS)
-        seen.page.wait_for_selector(card("compensate", "running"), timeout=WAIT_MS)
-        assert seen.page.input_value(".machines") == "kossel"
-        seen.page.reload()
-        seen.page.wait_for_selector(card("compensate", "running"), timeout=WAIT_MS)
-        assert seen.page.input_value(".machines") == "kossel"  # remembered
-        check(seen, server, 390)
 
 
 def test_too_large_a_file_is_refused_before_it_is_sent(

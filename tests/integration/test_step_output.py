@@ -10,7 +10,6 @@ import pytest
 from ffcomp.compensation.job import StepOutput
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.step_output import BEFORE_S
-from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import plan_program
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
@@ -18,7 +17,6 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import job
-from tests.support.klipper_host import reader
 from tests.support.prints import squares
 from tests.support.steps import read_events
 
@@ -129,24 +127,3 @@ def test_every_wait_is_in_the_steps(machine: Machine, tmp_path: Path, plain: boo
     assert at[b"M117 c"] - at[b"G4 P3000"] == pytest.approx(3.0, abs=1e-6)
     first = float(read_steps(target)["a"].time_s[0]) - BEFORE_S
     assert 4.9 < first < 5.1
-
-
-@pytest.mark.parametrize("plain", [False, True])
-def test_every_wait_is_in_a_file_of_motion(machine: Machine, tmp_path: Path, plain: bool) -> None:
-    target = tmp_path / "print.ffm"
-    output = StepOutput(BOARD, None, plain, motion=True)
-    result = job(WAITING, machine, flavor="marlin", predict=False).write_steps(target, output)
-    stream, header = reader().open_motion(target)
-    with stream:
-        records = list(reader().records(stream, header))
-    waits = [record.seconds for record in records if hasattr(record, "seconds")]
-    assert waits == pytest.approx([5.0, 4.0, 3.0, 0.8])
-    moves_s = sum(float(record.durations.sum()) for record in records if hasattr(record, "durations"))
-    assert header["duration_s"] == pytest.approx(result.statistics.print_time_s) == 12.8 + moves_s
-
-
-def test_nothing_is_left_behind_by_a_print_that_cannot_be(machine: Machine, tmp_path: Path) -> None:
-    empty = job(b"G28\nM104 S200\n", machine, "empty.gcode")
-    with pytest.raises(NothingToDo):
-        empty.write_steps(tmp_path / "steps.npz", StepOutput(BOARD, None))
-    assert list(tmp_path.iterdir()) == []

@@ -15,8 +15,7 @@ from ffcomp.simulation.command import Command
 from ffcomp.simulation.command_files import gcode_command, smoothed, staircase
 from ffcomp.simulation.playback import ROW_S, play
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
-from ffcomp.steps.archive import MotorSteps, StepsError, read_steps
-from gcode.errors import GcodeError
+from ffcomp.steps.archive import MotorSteps, read_steps
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
@@ -168,54 +167,6 @@ def test_compressed_rows_are_the_same_steps(arrays: dict[str, Any], tmp_path: Pa
     for motor in "abc":
         np.testing.assert_array_equal(full[motor].time_s, again[motor].time_s)
         np.testing.assert_array_equal(full[motor].level_mm, again[motor].level_mm)
-
-
-def changed(key: str, index: int, value: int) -> Any:
-    def change(arrays: dict[str, Any]) -> None:
-        arrays[key] = arrays[key].copy()
-        arrays[key][index] = value
-
-    return change
-
-
-BAD = {
-    "no b_tick": lambda a: a.pop("b_tick"),
-    "no c_start_mm": lambda a: a.pop("c_start_mm"),
-    "no clock_hz": lambda a: a.pop("clock_hz"),
-    "clock_hz is 0": lambda a: a.update(clock_hz=0.0),
-    "a_step_mm is nan": lambda a: a.update(a_step_mm=np.nan),
-    "b_start_mm is inf": lambda a: a.update(b_start_mm=np.inf),
-    r"a_tick\[7\] is 1 after": changed("a_tick", 7, 1),
-    r"a_tick\[0\] is -4": changed("a_tick", 0, -4),
-    r"c_direction\[3\] is 0": changed("c_direction", 3, 0),
-    "one row of whole numbers": lambda a: a.update(a_tick=a["a_tick"].astype(float)),
-    "belong together": lambda a: a.update(a_direction=a["a_direction"][:-1]),
-    "too far apart": lambda a: a.update(a_start_mm=9000.0),
-    "without pickles": lambda a: a.update(a_tick=np.array([{}], dtype=object)),
-    r"e_direction\[0\] is 3": lambda a: a.update(
-        e_tick=np.array([5]), e_direction=np.array([3]), e_start_mm=0.0, e_step_mm=0.1
-    ),
-}
-
-
-@pytest.mark.parametrize("sentence", BAD)
-def test_a_broken_archive_is_refused_with_its_place(sentence: str, arrays: dict[str, Any], tmp_path: Path) -> None:
-    broken = {**arrays}
-    BAD[sentence](broken)
-    path = saved(tmp_path, broken)
-    with pytest.raises(StepsError, match=sentence) as refused:
-        read_command(path, MACHINE)
-    assert str(refused.value).startswith(str(path))
-
-
-def test_steps_out_of_reach_are_said_with_their_time(arrays: dict[str, Any], tmp_path: Path) -> None:
-    """A metre up with one carriage alone."""
-    away = {**arrays, "a_tick": 16_000 * np.arange(1, 80_001), "a_direction": np.ones(80_000, np.int8)}
-    path = saved(tmp_path, away)
-    command, _ = read_command(path, MACHINE)
-    with pytest.raises(GcodeError, match=r"At t = \d.*left the reach") as refused:
-        simulate_command(command, MACHINE, MACHINE, Request(), path=str(path))
-    assert refused.value.path == str(path)
 
 
 # ---- the real host's steps -----------------------------------------------------------------------

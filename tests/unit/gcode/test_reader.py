@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.errors import GcodeError
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from tests.support.data import ODD, PRINTS, real
@@ -128,11 +128,6 @@ def test_a_frame_turns_places_back_into_the_numbers_of_the_file(
 # -- arcs --
 
 
-def test_gcode_offset_is_added_once() -> None:
-    program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
-    assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
-
-
 def test_a_helix_shares_height_and_filament_evenly() -> None:
     program = read("G1 X5 F600", "G3 X5 Y0 Z2 E4 I-5 J0")
     chords = program.moves.end[program.moves.line == 1]
@@ -173,12 +168,6 @@ def test_mistakes_name_file_and_line(line: str, rule: str) -> None:
     with pytest.raises(GcodeError, match=rule) as caught:
         read_program(f"; first\n{line}\n".encode(), "part.gcode", start=HOME)
     assert str(caught.value).startswith("part.gcode:2: ")
-
-
-@pytest.mark.parametrize("line", ["G55", "if move.axes[0].homed", "M200 D1.75"])
-def test_what_only_the_firmware_knows_is_refused(line: str) -> None:
-    with pytest.raises(UnsupportedGcode):
-        read(line)
 
 
 # -- properties --
@@ -281,15 +270,3 @@ def test_where_only_z_is_not_known_it_is_taken_to_be_the_last() -> None:
         ((5, 6, 5), (5, 7, 9)),
     ]
     assert [program.frames[frame].z_known for frame in program.moves.frame] == [True, False, False, False, True]
-
-
-def test_numbers_tell_how_filament_counts_where_no_line_does() -> None:
-    amounts = [0.2, 0.1, 0.3, 0.1, 0.2] * 12
-    moves = [f"G1 X{k} E{amount}" for k, amount in enumerate(amounts)]
-    relative = read("PRINT_START", "G1 Z1 Y1 F600", *moves)
-    assert relative.moves.end[-1, 3] == pytest.approx(sum(amounts)) and "relative" in relative.warnings[0]
-    grown = [f"G1 X{k} E{sum(amounts[:k]):.3f}" for k in range(60)]
-    for first in ([], ["M82"]):
-        absolute = read("PRINT_START", *first, "G1 Z1 Y1 F600", *grown)
-        assert absolute.moves.end[-1, 3] == pytest.approx(sum(amounts[:59])) and not absolute.warnings
-    assert read("M82", "G1 Z1 Y1 F600", *moves).moves.end[-1, 3] == pytest.approx(0.2), "a line has said it"

@@ -89,28 +89,12 @@ def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
         ('"minimal"', '""', "name = '' must not be empty."),
         ("= 140", "= 0.14", "kinematics.delta_radius_mm = 0.14 must be at least 10 (mm)."),
         ("= 0.18", "= 180", "carriage.mass_kg = 180 must be at most 20 (kg)."),
-        ("= 0.18", '= "180 g"', "carriage.mass_kg = '180 g' must be a number (kg)."),
-        ("= 0.18", "= true", "carriage.mass_kg = True must be a number (kg)."),
-        ("= 1e5", "= nan", "carriage.belt_stiffness_n_per_m = nan must be a finite number (N/m)."),
-        ("= 13", "= -13", "carriage.guide_damping_n_s_per_m = -13 must be at least 0 (N s/m)."),
-        (
-            "[20, 40, 20]",
-            "20",
-            "effector.extruder_damping_n_s_per_m = 20 must be a list of three numbers (N s/m).",
-        ),
         ("0, 120, 240", "0, 120", "kinematics.tower_angles_deg = [0, 120] must be a list of three numbers"),
-        (
-            "[limits]",
-            "[limits]\ncarriage_travel_mm = [0]",
-            "limits.carriage_travel_mm = [0] must be a list of two numbers (mm).",
-        ),
         (
             "[limits]",
             "[limits]\ncarriage_travel_mm = [400, 0]",
             "limits.carriage_travel_mm = [400.0, 0.0] must be the lower place first, then the higher one (mm).",
         ),
-        ("[limits]", "[limits]\nstep_rate_hz = 5", "limits.step_rate_hz = 5 must be at least 100 (Hz)."),
-        ("7e3,", "'7e3',", "effector.extruder_stiffness_n_per_m[1] = '7e3' must be a number (N/m)."),
         ("effector_height_mm = 50\n", "", "kinematics.effector_height_mm is missing."),
         ("arm_length_mm = 300\n", "", "kinematics.arm_length_mm is missing; give it, or arm_lengths_mm"),
         (
@@ -118,19 +102,12 @@ def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
             "mas_kg = 0.18",
             "carriage.mas_kg is not a key of a machine file. Did you mean 'mass_kg'?",
         ),
-        ("[limits]", "[limit]", "limit is not a key of a machine file. Did you mean 'limits'?"),
-        (
-            "mass_kg = 0.18",
-            "mass_kg = 0.18\njoint_radius_mm = 40",
-            "carriage.joint_radius_mm is not a key of a machine file. Did you mean 'effector.joint",
-        ),
         (
             "arm_length_mm = 300",
             "arm_length_mm = 275",
             "kinematics: the arm of tower A, 275 mm, is too short",
         ),
         ("0, 120, 240", "0, 90, 180", "the towers must stand around the bed"),
-        ("0, 120, 240", "0, 120, 140", "the towers must stand around the bed"),
     ],
 )
 def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str, problem: str) -> None:
@@ -141,25 +118,13 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
     ("more", "problem"),
     [
         ("[steps]\nsteps_per_mm = 4", "full_steps_per_mm = 5 must not exceed steps_per_mm = 4"),
-        (
-            "[effects.coulom_friction]\nforce_n = 1",
-            "not a known effect. Did you mean 'coulomb_friction'?",
-        ),
-        (
-            "[effects.belt_backlash]\nwidht_mm = 1",
-            "belt_backlash.widht_mm is not a parameter of this effect. Did",
-        ),
-        ("[effects.belt_backlash]\nwidth_mm = 'x'", "belt_backlash.width_mm = 'x' must be a finite number"),
         ("[effects]\nbelt_backlash = 1", "effects.belt_backlash = 1 must be a table."),
         (
             "[uncertainty]\n'carriage.mas_kg' = 0.1",
             "is not a number of this file. Did you mean 'carriage.mass_kg'?",
         ),
         ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
-        ("[firmware]\nversion = 'new'", "firmware.version = 'new' must"),
         ("[macros]\nreturns = ['G 1']", "macros.returns[0] = 'G 1' must be a name"),
-        ("[firmware]\nflavour = 'klipper'", "firmware.flavour is not a key of a machine file. Did you mean 'flavor'?"),
-        ("[uncertainty]\ndefault = -1", "uncertainty.default = -1 must be at least 0."),
     ],
 )
 def test_mistakes_in_optional_tables(problems, more: str, problem: str) -> None:

@@ -10,8 +10,6 @@ import numpy as np
 from ffcomp.diagnosis.fit import EstimationProblem, derivatives
 from ffcomp.diagnosis.noise import NoiseFloor, whitener
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
-from ffcomp.measurement.recording import Recording
-from models.file import load_machine
 
 # ---- fit -----------------------------------------------------------------------------------------
 
@@ -58,10 +56,3 @@ def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_canno
 
 
 # ---- what runs must be ---------------------------------------------------------------------------
-
-
-def recording_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Recording:
-    t = np.arange(1600) / 1600.0
-    q = np.repeat(load_machine("mp-delta-pro").kinematics.inverse(np.array([place])), len(t), axis=0)
-    blank = {"acc_A": np.zeros(len(t))}
-    return Recording(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})

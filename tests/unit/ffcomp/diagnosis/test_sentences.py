@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.diagnosis import FINDINGS
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
-from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
-from ffcomp.diagnosis.verb import print_gain
+from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.identification.uncertainty import normal
-from models.file import load_machine
 from tests.support.residual import residual_at
 
 NUMBER = r"(?:more than )?([\d.]+) %"
@@ -75,18 +71,3 @@ def test_what_is_explained_follows_from_the_numbers_beside_it(seed: int) -> None
     filed, left, explained = shares(there)
     assert (filed, left) == (rounded(before), rounded(elsewhere))
     assert explained == pytest.approx(share_of(filed, left, told_noise), abs=0.03)
-
-
-@pytest.mark.parametrize("finding", FINDINGS)
-def test_every_finding_has_sentences_and_steps(finding: str) -> None:
-    found = result(finding)
-    for sentence in [*summary_sentences(found), *what_to_do(found)]:
-        assert sentence[0].isupper() and sentence.endswith(".")
-
-
-@pytest.mark.slow
-def test_prints_gain_by_a_heavier_effector_in_the_file() -> None:
-    machine = replace(load_machine("mp-delta-pro"), flavor="klipper")  # Marlin's whole steps leave 9 µm with any file
-    found = print_gain(machine, replace(result(), file=FileNumbers()))
-    assert found is not None
-    assert found.after_um < 0.3 * found.before_um < 0.3 * found.uncompensated_um

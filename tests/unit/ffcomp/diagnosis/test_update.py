@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,8 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.diagnosis.problem import Parameter
-from ffcomp.diagnosis.update import FLOOR, Updated, read_history, update, update_files, update_problem
-from ffcomp.errors import MeasurementError, NothingToDo, RequestError
+from ffcomp.diagnosis.update import FLOOR, Updated, read_history, update, update_problem
+from ffcomp.errors import NothingToDo
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.limits import PlannerLimits
@@ -124,11 +123,6 @@ def prior(known: Machine, asked: UpdateRequest) -> dict[str, Parameter]:
     return {each.name: each for each in problem.parameters}
 
 
-def test_what_the_file_does_not_allow_is_refused_with_the_remedy() -> None:
-    with pytest.raises(MeasurementError, match=r"Nothing is written.*ffcomp diagnose RUNS -m m\.toml"):
-        update(machine(0.01), layers([printer(48.0, 43.0)] * 3), request())
-
-
 def test_numbers_that_are_worse_on_layers_left_out_are_not_written() -> None:
     """Layers that contradict each other: the file between them is better than what either says of the other."""
     apart = [printer(57.0, 44.6), printer(53.0, 41.4)]
@@ -172,21 +166,3 @@ def test_the_verb_updates_the_file_in_place_and_keeps_a_history(files: tuple[Pat
 
 def _of(mine: Path, runs: Sequence[Path], **more: Any) -> UpdateRequest:
     return UpdateRequest(data=tuple(runs), machine=str(mine), output=mine, **more)
-
-
-def test_no_other_file_is_overwritten(files: tuple[Path, list[Path]]) -> None:
-    mine, runs = files
-    other = mine.with_name("other.toml")
-    other.write_text("mine, too", encoding="utf-8")
-    with pytest.raises(RequestError, match=r"other\.toml exists already"):
-        update_files(replace(_of(mine, runs), output=other))
-    library = Path(load_machine("voron-250").path)
-    with pytest.raises(RequestError, match="is of the library"):
-        update_files(replace(_of(library, runs), output=library))
-
-
-def test_no_machine_file_is_written_without_its_history(files: tuple[Path, list[Path]]) -> None:
-    mine, runs = files
-    with pytest.raises(OSError, match="cannot be written"):
-        update_files(_of(mine, runs, history=mine.parent / "nowhere" / "history.jsonl"))
-    assert mine.read_text(encoding="utf-8") == TEXT.format(default=0.05)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -161,68 +159,13 @@ def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
 # ---- the excitation that ffcomp plans itself -----------------------------------------------------
 
 
-def test_a_plan_of_a_corexy_stays_within_its_box_and_its_motors(tmp_path: Path) -> None:
-    out = tmp_path / "e.gcode"
-    short = ("record", "plan", "--for", "identify", "-m", VORON, "-o", out, "--period-s", 2, "--periods", 1)
-    peaks = answer_of(*short)["experiments"][0]["peaks"]
-    assert peaks["carriage_acceleration_mm_per_s2"] == pytest.approx(peaks["nozzle_acceleration_mm_per_s2"])
-    assert peaks["z_acceleration_mm_per_s2"] == 0
-    for options, rule in (
-        (["--at", "0.1,150"], "leaves the bed: The point X = -"),
-        (["--at", "line-of-action"], "straight axes answer alike"),
-        (["--axes", "towers"], "xy, x, y, z or xyz"),
-    ):
-        refused = call(*short, *options)
-        assert refused.exit_code != 0 and rule in re.sub(r"[│\s]+", " ", refused.output)
-
-
 # ---- what cannot be used is said -----------------------------------------------------------------
-
-HEADER = "#time,accel_x,accel_y,accel_z\n"
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "rule"),
-    [
-        ("adxl345-test.csv", "", "there is no sweep in its 1.25 s"),
-        ("resonances_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "axis is not stated"),
-        ("resonances_x_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "no spectrum along x"),
-        ("resonances_x_20260101.csv", "freq,psd_x\n" + "".join(f"{9 * f},1\n" for f in range(1, 30)), "lines between"),
-    ],
-)
-def test_files_that_tell_nothing_are_named(tmp_path: Path, name: str, text: str, rule: str) -> None:
-    path = tmp_path / name
-    felt = np.random.default_rng(0).normal(0, 900, (999, 3))
-    rows = "".join(f"{k / 800:.5f},{a:.2f},{b:.2f},{c:.2f}\n" for k, (a, b, c) in enumerate(felt))
-    path.write_text(text or HEADER + rows)
-    found = spectrum_of(path, None, (2.0, 400.0))
-    assert isinstance(found, str) and rule in found
-    refused = call("identify", "fit", path, "-m", VORON)
-    assert refused.exit_code == 5 and "None of the files holds the response of an axis" in refused.output
 
 
 def test_noise_alone_is_no_machine() -> None:
     flat = response(np.array([[900.0, 1.0, 1.0]]), noise=0.02, seed=1)
     with pytest.raises(MeasurementError, match="No resonance of x stands out between 5 and 150 Hz"):
         identify_axes([], [flat])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "rule"),
-    [
-        (("frf", "--of", "carriage-alone"), "described by modes, not by carriages"),
-        (("identify", "decouple", "x.csv"), "Straight axes carry no effector"),
-        (("identify", "fit", "x.csv", "--known", "effector.total_mass_kg=1"), "are for deltas"),
-        (("identify", "fit", "x.csv", "--axis", "w"), "it is x, y, z, or a direction"),
-    ],
-)
-def test_what_straight_axes_have_not_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: Sequence[str], rule: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_frf("x.csv", response(ONE, noise=0.01, seed=1))
-    refused = call(*arguments, "-m", VORON)
-    assert refused.exit_code in (2, 5) and rule in re.sub(r"[│\s]+", " ", refused.output)
 
 
 # ---- real printers -------------------------------------------------------------------------------

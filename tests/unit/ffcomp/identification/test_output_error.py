@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffcomp.identification.direct import advice_on, scale_is_weak
 from ffcomp.identification.output_error import Fitted, fit_machine
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
@@ -56,14 +55,3 @@ def test_a_tilted_chip_is_found_and_does_no_harm() -> None:
         value_of(m, "carriage.belt_stiffness_n_per_m") / value_of(m, "carriage.mass_kg") for m in (found.machine, TRUTH)
     ]
     assert ratio[0] == pytest.approx(ratio[1], rel=0.02)
-
-
-def test_a_weak_common_scale_is_one_sentence() -> None:
-    found = fitted(tuple(TILT_DEG))
-    assert scale_is_weak(found)
-    advice = advice_on(found, ())
-    scale = [text for text in advice if text.startswith("All masses, stiffnesses and dampings together")]
-    assert len(scale) == 1 and not any("The masses are weak" in text for text in advice)
-    assert any("The accelerometer is turned by +2.0" in text for text in advice)
-    stiffness = "carriage.belt_stiffness_n_per_m"
-    assert found.beside_scale[stiffness].relative_sd < 0.3 * found.estimates[stiffness].relative_sd

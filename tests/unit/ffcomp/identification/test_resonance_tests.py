@@ -68,9 +68,3 @@ def test_the_highest_peak_of_many_is_where_it_is(tmp_path: Path) -> None:
     axis = json.loads(said)["axes"]["x"]
     assert code == 0 and "has more modes than two" in axis["verdict"]
     assert axis["modes"][0]["frequency_hz"]["value"] == pytest.approx(47.0, rel=0.03)
-
-
-def test_an_axis_is_said_once_or_for_each(tmp_path: Path) -> None:
-    paths = [spectra(tmp_path / f"{n}.csv", "psd_x,psd_y", PEAK, PEAK) for n in "abc"]
-    code, said = call(*paths, "-m", "ender-3", "--axis", "x", "--axis", "y")
-    assert code == 5 and "--axis is given 2 times, for 3 tests" in said

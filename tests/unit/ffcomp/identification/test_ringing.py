@@ -35,9 +35,3 @@ def test_the_belts_of_a_delta_are_tuned_until_it_rings_there() -> None:
     assert f[int(np.argmax(response))] == pytest.approx(35.0, abs=1.0)
     assert value_of(mine, "carriage.mass_kg") == value_of(start, "carriage.mass_kg")
     assert value_of(mine, "carriage.guide_damping_n_s_per_m") == value_of(start, "carriage.guide_damping_n_s_per_m")
-
-
-def test_frequencies_that_no_stiffness_makes_both_are_named() -> None:
-    start = load_machine("mp-delta-pro")
-    result = fit_ringing(start, RingingRequest(machine="mp-delta-pro", x_hz=52.0, y_hz=34.0, output=Path("mine.toml")))
-    assert "One stiffness of the belts does not make both: with the nearest, x rings at 4" in result.advice[1]

@@ -6,15 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.importers.builder import HINTS, machine_text, still_assumed
-from ffcomp.importers.values import PrinterConfigError
+from ffcomp.importers.builder import HINTS, machine_text
 from models.errors import MachineFileError
-from models.file import LIBRARY, check_text, entries, load_machine
+from models.file import check_text, entries, load_machine
 from models.kinds import delta_vibration
 from tests.support.configs import COREXY, SHAPER, Delta, drafted, imported, written
 
 
-@pytest.mark.parametrize(("arm", "like"), [(295.0, "mp-delta-pro"), (272.0, "kossel"), (281.0, "flsun-qqs")])
+@pytest.mark.parametrize(("arm", "like"), [(295.0, "mp-delta-pro"), (281.0, "flsun-qqs")])
 def test_the_nearest_arm_lends_its_vibrations(arm: float, like: str, tmp_path: Path) -> None:
     path = written(tmp_path, Delta(arms=(arm, arm, arm)).klipper())
     assert drafted(path).like == like
@@ -37,18 +36,6 @@ def test_every_value_says_where_it_is_from(tmp_path: Path) -> None:
     assert [key for key, origin in told.items() if not origin] == []
 
 
-def test_numbers_that_are_not_known_are_listed_until_they_are(tmp_path: Path) -> None:
-    path = written(tmp_path, Delta().klipper())
-    provenance = dict(imported(path).provenance)
-    sentences = list(still_assumed(provenance, "klipper"))
-    assert any(
-        "carriage.belt_stiffness_n_per_m" in each and "ffcomp record plan --for identify" in each for each in sentences
-    )
-    provenance |= {key: "identified" for key in provenance if key.startswith("carriage.")}
-    assert not any("carriage." in each for each in still_assumed(provenance, "klipper"))
-    assert list(still_assumed(load_machine("kossel").provenance, "klipper")) == [], "only imported machines are asked"
-
-
 def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     path = written(tmp_path, COREXY.replace("position_max: 302.5", "") + SHAPER.replace("shaper_freq_x: 61.2", ""))
     made = drafted(path)
@@ -66,11 +53,6 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
         if line.startswith("# frequency_hz is missing"):
             filled = filled.replace(line, "frequency_hz = [50.0]\ndamping_ratio = [0.05]")
     check_text(filled, "x.toml")
-
-
-def test_a_delta_lends_nothing_to_a_corexy_machine(tmp_path: Path) -> None:
-    with pytest.raises(PrinterConfigError, match="a delta machine cannot lend values to a corexy machine"):
-        drafted(written(tmp_path, COREXY), like=LIBRARY / "kossel.toml")
 
 
 @pytest.mark.parametrize("flavor", ["klipper", "reprapfirmware", "marlin"])

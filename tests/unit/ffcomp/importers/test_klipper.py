@@ -88,15 +88,6 @@ def test_includes_are_relative_globbed_and_in_order(tmp_path: Path) -> None:
     assert "x.cfg:2 [stepper_b] angle" in says.values["kinematics.tower_angles_deg"].origin
 
 
-def test_an_include_that_is_not_here_is_said(tmp_path: Path) -> None:
-    says = found(tmp_path, "[include mainsail.cfg]\n[include none/*.cfg]\n" + PLAIN)
-    assert [note for note in says.notes if "include" in note] == [
-        "printer.cfg:1: [include mainsail.cfg]: there is no such file; what it sets was not read."
-    ]
-    with pytest.raises(PrinterConfigError, match=r"no kinematics in \[printer\].*printer-base.cfg"):
-        found(tmp_path, "[include printer-base.cfg]\n[mcu]\nserial: x\n")
-
-
 def test_a_circle_of_includes_is_refused_and_a_diamond_is_not(tmp_path: Path) -> None:
     written(tmp_path, "[include b.cfg]\n", "a.cfg")
     written(tmp_path, "[include a.cfg]\n", "b.cfg")
@@ -198,11 +189,7 @@ def test_a_macro_that_sets_the_shaper_is_said(tmp_path: Path) -> None:
             r"cfg:11: \[stepper_a\] rotation_distance = '32mm' must",
         ),
         ("rotation_distance: 32", "rotation_distance: 0", "'0' must be above 0"),
-        ("delta_radius: 130", "delta_radius: nan", "'nan' must be a plain number"),
-        ("delta_radius: 130", "delta_radius: {r}", "must be a plain number, without a unit or a formula"),
-        ("microsteps: 16", "microsteps:", "microsteps = '' must be a plain number"),
         ("microsteps: 16", "microsteps: 16\ngear_ratio: 3", "gear_ratio = '3' must be pairs like 80:16"),
-        ("microsteps: 16", "microsteps: 16\ngear_ratio: 3:0", "gear_ratio = '0' must be above 0"),
         ("microsteps: 16", "microsteps 16", "'microsteps 16' is no section and no option"),
         ("\n[printer]", "max_z: 3\n[printer]", "printer.cfg:1: 'max_z: 3' must stand in a section"),
     ],

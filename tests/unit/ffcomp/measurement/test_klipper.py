@@ -55,24 +55,6 @@ def test_the_dialects_of_spectra(tmp_path: Path, header: str, extra: dict[str, i
     np.testing.assert_allclose(power, undone, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("1.6,", "-1.6,", "Column freq must not be negative, rise"),
-        ("1.6,", ",", "Column freq must not be negative, rise"),
-        ("1.6,1", "1.6,-1", "a power is not negative"),
-        ("1.6,1", "1.6,x", "row 3, column psd_x: 'x"),
-        ("1.6,", "1.6,3,", "Every row needs 5 fields"),
-    ],
-)
-def test_spectra_that_cannot_be_used(tmp_path: Path, old: str, new: str, words: str) -> None:
-    path = spectra(tmp_path / "resonances_x_a.csv", FOUR)
-    path.write_text(path.read_text(encoding="utf-8").replace("\n" + old, "\n" + new, 1), encoding="utf-8")
-    with pytest.raises(MeasurementError) as caught:
-        read_vibration(path)
-    assert words in str(caught.value)
-
-
 def capture_text(scale: float = 1000.0, rate: float = 3200.0, count: int = 3200, clip: float = np.inf) -> str:
     generator = np.random.default_rng(0)
     values = np.clip(generator.standard_normal((count, 3)) * 3 + [0, 0, G], -clip, clip) * scale
@@ -87,15 +69,10 @@ def capture_text(scale: float = 1000.0, rate: float = 3200.0, count: int = 3200,
             capture_text(scale=1.0),
             "The acceleration is 0.0112 m/s² rms; a sensor on Earth measures",
         ),
-        (capture_text(scale=0.1 / G), "The acceleration is 0.000"),
         (capture_text(scale=1e6), "The acceleration is 1.12e+04 m/s² rms"),
         (capture_text(clip=6.0), "Column acc_z stands at its highest value 6 in "),
         (capture_text(count=1000), "must last at least 0.5 s"),
-        (capture_text(rate=250), "The sample rate in column time is 250 Hz"),
         ("#time,accel_x,accel_y,accel_z\n", "There are no rows"),
-        ("#time,accel_x,accel_y\n1,2,3\n", "The first line must be"),
-        ("freq,psd_x\n0,1\n", "There are 1 frequencies"),
-        ("seq sample x y z\n00 0 1 2 3\n", "The sample rate is missing"),
     ],
 )
 def test_captures_that_cannot_be_used(tmp_path: Path, text: str, words: str) -> None:

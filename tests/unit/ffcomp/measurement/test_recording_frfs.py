@@ -51,21 +51,6 @@ def test_small_gaps_are_bridged_and_large_ones_refused() -> None:
         frfs_from_recordings([replace(whole, acceleration={"acc_A": holed})], 20, 100)
 
 
-@pytest.mark.parametrize(
-    ("recordings", "words"),
-    [
-        ([], "No recording is given"),
-        ([recording(np.zeros((1600, 3)))], "Nothing is commanded to move"),
-        ([recording(multisine(0)), recording(multisine(1, 3))], "It does not go with r-0.csv"),
-        ([recording(multisine(0), period_s="1.0001")], "A period of 1.0001 s is 1600.160 samples"),
-        ([recording(multisine(0), period_s="one")], "Comment 'period_s' is 'one'"),
-    ],
-)
-def test_runs_that_make_no_response(recordings: list[Recording], words: str) -> None:
-    with pytest.raises(MeasurementError, match=words):
-        frfs_from_recordings(recordings, 20, 100)
-
-
 def test_three_carriages_at_once_in_measured_runs(data: Path) -> None:
     """Two different commands of all carriages, four seconds from rest, against the machine file they were made with."""
     folder = data / "runs" / "nothing-hidden"

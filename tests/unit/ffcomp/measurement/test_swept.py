@@ -10,10 +10,9 @@ from scipy.signal import chirp, lfilter
 
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.modes import modes_of
-from ffcomp.measurement.swept import swept_band, swept_band_of_spectrum
+from ffcomp.measurement.swept import swept_band
 
 RATE = 800.0
-LINES = np.arange(130) * 1.5625
 
 
 def felt(high_hz: float, mode_hz: float, *, zeta: float = 0.06, rest_s: float = 2.0) -> np.ndarray:
@@ -60,16 +59,3 @@ def test_the_end_of_a_sweep_is_no_resonance(tmp_path: Path) -> None:
     assert "sweep to 133 Hz" in found.verdict
     below = modes_of(write(tmp_path / "raw_data_x_b.csv", felt(50.0, 30.0)))
     assert below.modes[0].frequency_hz == pytest.approx(30.0, rel=0.01)
-
-
-def spectrum(mode_hz: float, zeta: float) -> np.ndarray:
-    ratio = LINES / mode_hz
-    return np.asarray(LINES**2 / ((1 - ratio**2) ** 2 + (2 * zeta * ratio) ** 2) + 0.01)
-
-
-def test_a_spectrum_says_where_its_sweep_ended() -> None:
-    full = spectrum(70.0, 0.06)
-    cut = np.where(LINES <= 50, full, 1e-3 * full)
-    found = swept_band_of_spectrum(LINES, cut)
-    assert found is not None and found.high_hz == pytest.approx(50, abs=1.6)
-    assert swept_band_of_spectrum(LINES, full) is None

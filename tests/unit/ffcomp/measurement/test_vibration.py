@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import bz2
 import json
 import os
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement import klipper
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.vibration import read_capture, read_captures, read_vibration
 
@@ -45,8 +42,6 @@ def test_reprapfirmware_without_its_last_line_is_refused(tmp_path: Path, tail: s
 @pytest.mark.parametrize(
     ("header", "time_unit", "unit", "delimiter"),
     [
-        ("t_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2", 1.0, 1.0, ","),
-        ("t,ax,ay,az", 1.0, 1.0, ","),
         ("t,ax,ay,az", 1.0, G, ","),
         ("time_ms;acc_x;acc_y;acc_z", 1e-3, 1e-3, ";"),
         ('"Time (s)";"Acceleration x (m/s^2)";"Acceleration y (m/s^2)";"Acceleration z (m/s^2)"', 1.0, 1.0, ";"),
@@ -60,30 +55,6 @@ def test_any_table_with_a_time_and_three_accelerations(
     found = read_capture(write(tmp_path / "phone.csv", text))
     assert found.sample_rate_hz == pytest.approx(RATE, rel=1e-4) and found.clock == "free"
     np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-4, atol=1e-4)
-
-
-def test_a_unit_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", "t,ax,ay,az\n" + rows(T, FELT * 7))
-    with pytest.raises(MeasurementError, match="The unit of the accelerations is not stated"):
-        read_capture(path)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (
-            "t;ax;ay;az\n60,1;0,5;0,5;9,8\n60,2;0,4;0,4;9,7\n",
-            "row 2, column t: '60,1'.*Write decimal points, not commas",
-        ),
-        ("#time,accel_x,accel_y,accel_z\n60.0,5,5,9800\n", "needs at least two rows with a time, but there are 1"),
-        ("Sample,X,Y,Z\n0,0.1,0.2,1\n1,0.1,0.2,1\nRate 0, overflows 0\n", "but it is 'Rate 0, overflows 0'"),
-    ],
-    ids=["decimal commas", "one row", "no rate"],
-)
-def test_a_capture_that_cannot_be_used_is_refused_in_one_sentence(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(MeasurementError, match=words) as refused:
-        read_capture(write(tmp_path / "a.csv", text))
-    assert len(refused.value.problems) == 1
 
 
 def stdata(path: Path, names: list[str]) -> Path:
@@ -111,24 +82,6 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
     path.write_bytes(zstandard.ZstdCompressor().compress(bytes(100 << 20)))
     with pytest.raises(MeasurementError, match="unpacks to more than any recording does"):
         read_capture(path)
-
-
-def test_pythons_own_library_unpacks_frames_and_refuses_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of Python 3.14; that of bzip2 has the same interface."""
-    monkeypatch.setattr(klipper, "import_module", lambda name: SimpleNamespace(ZstdFile=bz2.BZ2File))
-    lines = [json.dumps({"name": name, "samples": np.column_stack([T, FELT * 1e3]).tolist()}) for name in ("a", "b")]
-    path = tmp_path / "two.stdata"
-    monkeypatch.setattr(klipper, "_ZSTANDARD", b"BZ")
-    path.write_bytes(b"".join(bz2.compress(line.encode() + b"\n") for line in lines))
-    assert [each.name for each in read_captures(path)] == ["a", "b"]
-    path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(MeasurementError, match="It cannot be unpacked"):
-        read_captures(path)
-    path.write_bytes(bz2.compress(bytes(100 << 20)))
-    with pytest.raises(MeasurementError, match="unpacks to more"):
-        read_captures(path)
 
 
 @pytest.mark.slow

@@ -177,14 +177,6 @@ def test_every_move_arrives(planned: tuple[Moves, Trajectory]) -> None:
     ("column", "value", "message"),
     [
         ("speed", 0.0, "2: The move has the speed 0.0 mm/s; it must be above zero."),
-        ("acceleration", -1.0, "2: The move has the acceleration -1.0; it must be above zero."),
-        ("velocity_limit", 0.0, "2: The move has the velocity limit 0.0; it must be above zero."),
-        (
-            "square_corner_velocity",
-            -2.0,
-            "2: The move has the square corner velocity -2.0 mm/s; it cannot be negative.",
-        ),
-        ("minimum_cruise_ratio", 1.0, "2: The move has the minimum cruise ratio 1.0; it is in [0, 1)."),
         ("end", np.nan, "2: The move travels nan mm; a distance is finite."),
     ],
 )
@@ -195,8 +187,3 @@ def test_impossible_moves_are_named_with_their_line(column: str, value: float, m
     with pytest.raises(GcodeError) as failure:
         plan(dataclasses.replace(moves, **{column: values}))
     assert str(failure.value) == message
-
-
-def test_a_negative_wait_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"The wait before move 1 is -0\.5 s; it must be finite and not negative\."):
-        plan(moves_through([[0, 0], [1, 0], [2, 0]]), waits=[0.0, -0.5])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,17 +12,16 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.errors import LimitsError
 from ffcomp.record.excitation import (
     AXES,
-    CLEARANCE_MM,
     TOWERS,
     ExcitationRequest,
     make_excitation_plan,
 )
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import polyline_gain
-from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, save_plan
+from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import ComplexArray, FloatArray, constant
@@ -159,47 +157,7 @@ def test_a_place_at_the_rim_is_refused_with_one_that_fits() -> None:
     make_excitation_plan(machine(), replace(request, places_mm=((134.9 - in_by, 0.0),)))
 
 
-def test_a_height_too_low_is_refused_with_one_that_fits() -> None:
-    request = replace(SHORT, directions=("z",), height_mm=CLEARANCE_MM)
-    with pytest.raises(LimitsError, match="above the bed") as refused:
-        make_excitation_plan(machine(), request)
-    low, high = (float(number) for number in re.findall(r"from ([\d.]+) to ([\d.]+) mm would", str(refused.value))[0])
-    for height in (low + 0.1, high - 0.1):
-        make_excitation_plan(machine(), replace(request, height_mm=height))
-
-
-@pytest.mark.parametrize(("place", "height"), [((200.0, 0.0), 50.0), ((0.0, 0.0), 301.0)])
-def test_places_outside_are_refused(place: tuple[float, float], height: float) -> None:
-    with pytest.raises(LimitsError, match=r"The place .* mm farther in|The place .* leaves the bed: The point"):
-        make_excitation_plan(machine(), replace(SHORT, places_mm=(place,), height_mm=height))
-
-
-def test_where_the_firmware_slows_down_is_refused() -> None:
-    """Arms of 250 mm: beyond 3 L/√10 − R = 97 mm a carriage may have to move three times as fast as the nozzle."""
-    short_arms = replace(machine().kinematics, arm_lengths_mm=constant([250.0] * 3))
-    with pytest.raises(LimitsError, match=r"firmware keeps its speed up to 97\.2 mm"):
-        make_excitation_plan(replace(machine(), kinematics=short_arms), replace(SHORT, places_mm=((100.0, 0.0),)))
-
-
 # Files
-
-
-@pytest.mark.parametrize(
-    ("spoil", "sentence"),
-    [
-        (lambda text: text[:100], "not JSON"),
-        (lambda text: text.replace("moves/1", "moves/9"), "'ffcomp-moves/9'"),
-        (lambda text: text.replace('"periods"', '"perods"'), "'periods' is missing"),
-        (lambda text: text.replace('"ends_mm"', '"ends"'), "'ends_mm' is missing"),
-        (lambda text: "[]", "no complete plan"),
-    ],
-)
-def test_a_spoilt_plan_is_refused(tmp_path: Path, spoil: Callable[[str], str], sentence: str) -> None:
-    path = tmp_path / "excite.json"
-    save_plan(Plan("m", "0", short().experiments[:1], 1), path)
-    path.write_text(spoil(path.read_text()))
-    with pytest.raises(MeasurementError, match=sentence):
-        load_plan(path)
 
 
 @pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
@@ -243,27 +201,6 @@ def test_the_verb_writes_both_files_and_says_what_to_do_next(tmp_path: Path) -> 
     total = sum(len(each.motion.speed) for each in plan.experiments)
     assert sum(each["moves"] for each in result["experiments"]) == total
     assert target.read_bytes().count(b"\nG1 ") == total + 2 * 12 + 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (["--highest-hz", "400"], 6, "enough for 225 Hz"),
-        (["--amplitude-mm-per-s2", "90000"], 6, "would fit"),
-        (["--kind", "zigzag"], 2, "--kind is for --for diagnose, not for --for identify"),
-        (["--axes", "q"], 2, "towers, xyz, all"),
-        (["--flavor", "grbl"], 2, "klipper, marlin"),
-        (["--at", "1;2"], 2, "two numbers"),
-        (["--seconds", "3"], 2, "--seconds is for --for diagnose, not for --for identify"),
-    ],
-)
-def test_what_cannot_be_done_is_said_and_nothing_is_written(
-    tmp_path: Path, arguments: list[str], code: int, words: str
-) -> None:
-    got, _, err = run("-o", str(tmp_path / "excite.gcode"), *arguments)
-    assert got == code
-    assert words in " ".join(err.replace("│", " ").split())
-    assert not list(tmp_path.iterdir())
 
 
 # The real host

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ffcomp.errors import MeasurementError
 from ffcomp.measurement.printer_logs import read_motion_log
-from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.executions import differences
 from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.moves import Request, make_plan
@@ -118,21 +116,6 @@ def test_a_log_that_was_cut_off_is_read_as_far_as_it_goes(
     assert read_motion_log(cut).nozzle.begin_s[0] == BEGIN_S
     found = join_captures([cut], plan, machine)
     assert "there is no index next to the log" in " ".join(found.remarks)
-
-
-def test_logs_without_what_is_needed_are_refused(plan: Plan, machine: Machine, tmp_path: Path) -> None:
-    path = tmp_path / "mylog.json.gz"
-    write_log(path, [{"id": 1, "result": {}}], {})
-    with pytest.raises(MeasurementError, match=r"holds no commanded motion"):
-        read_motion_log(path)
-    write_log(path, trapq(plan.experiments[0].motion.trajectory, 1.0), {})
-    with pytest.raises(MeasurementError, match=r"holds no acceleration"):
-        read_motion_log(path)
-    with pytest.raises(MeasurementError, match=r"`ffcomp record join`, `gap` and `diagnose` read it"):
-        read_captures(path)
-    path.write_bytes(b"\x1f\x8bnothing")
-    with pytest.raises(MeasurementError, match=r"cannot be unpacked"):
-        read_motion_log(path)
 
 
 def test_another_motion_is_refused_and_diagnose_takes_logs(

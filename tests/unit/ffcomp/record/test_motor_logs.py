@@ -8,11 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.errors import MeasurementError
-from ffcomp.identification.load import kind_of, responses_of
-from ffcomp.measurement.printer_logs import read_closed_loop
 from ffcomp.measurement.recording import read_recording
-from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
@@ -134,25 +130,3 @@ def test_what_is_no_execution_of_the_plan_is_refused_with_what_was_found(
     nozzle = shaped(plan.experiments[0].motion.nozzle, t, (SHAPERS["mzv"](100.0, 0.1),) * 2)
     smooth = (t, machine.kinematics.inverse(nozzle), place)
     assert "the input shaper was on" in why(log(tmp_path / "shaped.csv", smooth))
-
-
-def test_a_log_is_told_apart_from_other_files(
-    played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
-) -> None:
-    path = log(tmp_path / "50_2026.csv", played)
-    assert kind_of(path) == "vibration"
-    with pytest.raises(MeasurementError, match=r"log of one motor .* with the plan of its moves"):
-        read_captures(path)
-    path.write_text("Sample,Timestamp,Target Motor Steps\n0,0.0,1.0\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match=r"no column 'measured motor steps'. Record it with D7"):
-        read_closed_loop(path)
-
-
-def test_what_needs_accelerations_refuses_a_log(
-    plan: Plan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
-) -> None:
-    found = join_captures([log(tmp_path / "50_2026.csv", played)], plan, machine)
-    assert not found.with_accelerations.joined
-    assert "needs accelerations" in found.with_accelerations.refused[0].why
-    with pytest.raises(MeasurementError, match=r"50_2026.csv.*\n?.*needs accelerations"):
-        responses_of(found.recordings, plan, (2.0, 100.0))

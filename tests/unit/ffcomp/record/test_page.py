@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.errors import LimitsError
 from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.page import (
     LARGEST_MM,
@@ -68,8 +67,3 @@ def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: 
     assert text.index(on.encode()) > text.rindex(b"G1 X")
     accelerations = [line for line in text.splitlines() if line.startswith((b"SET_VELOCITY_LIMIT", b"M204", b"M201"))]
     assert b"3000" in accelerations[-1] or b"3000" in accelerations[-2]
-
-
-def test_too_hard_strokes_are_refused() -> None:
-    with pytest.raises(LimitsError, match="would fit"):
-        make_page(load_machine("kossel"), PageRequest(acceleration_mm_per_s2=60000.0))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.errors import LimitsError
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
@@ -35,20 +35,6 @@ def test_the_json_file_holds_the_command(plan: Plan, tmp_path: Path) -> None:
     for a, b in zip(plan.experiments, again.experiments, strict=True):
         t = np.linspace(-0.1, a.duration_s + 0.1, 999)
         np.testing.assert_array_equal(a.motion.nozzle(t), b.motion.nozzle(t))
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("{", "This is not JSON"),
-        ('{"schema": "ffcomp-print/1"}', "The schema is 'ffcomp-print/1'; 'ffcomp-moves/1' is needed"),
-        ('{"schema": "ffcomp-moves/1"}', "The key 'machine' is missing"),
-    ],
-)
-def test_another_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "moves.json").write_text(text, encoding="utf-8")
-    with pytest.raises(MeasurementError, match=words):
-        load_plan(tmp_path / "moves.json")
 
 
 def text_of(plan: Plan, machine: Machine, flavor: str, shaper: tuple[str, ...] | None = None) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.errors import MeasurementError, NothingToDo
 from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Plan, load_plan, save_plan
@@ -59,13 +58,6 @@ def test_captures_of_a_print_are_joined(planned: tuple[Plan, Program], machine: 
     assert len(found.joined) == len(captures) and not found.refused
 
 
-def test_a_print_without_motion_says_so(machine: Machine, tmp_path: Path) -> None:
-    path = tmp_path / "empty.gcode"
-    path.write_text("G28\nG90\nG1 X0 Y0 Z5 F3000\nG1 X5\n", encoding="utf-8")
-    with pytest.raises(NothingToDo, match=r"has no motion of 1\.5 to 60 s without a stop"):
-        plan_print(path, machine, "klipper")
-
-
 def test_a_print_with_its_captures_commands_is_its_own_plan(
     planned: tuple[Plan, Program], machine: Machine, tmp_path: Path
 ) -> None:
@@ -102,19 +94,6 @@ def test_whole_layers_are_recorded_by_what_a_slicer_puts_between_them(machine: M
         assert np.array_equal(plan.experiments[0].motion.nozzle(t), plans[0].experiments[0].motion.nozzle(t))
     waits = plans[0].experiments[0].motion
     assert waits.wait_before.tolist() == [0.0, 0.0, 0.05, 0.0] and waits.nozzle(np.array([9.0]))[0, 0] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("rest", "sentence"), [("", "no captures between two rests"), (None, "no captures: no ACCELEROMETER_MEASURE")]
-)
-def test_a_print_that_records_nothing_says_what_to_print(
-    rest: str | None, sentence: str, machine: Machine, tmp_path: Path
-) -> None:
-    path = tmp_path / "plain.gcode"
-    toggle = "" if rest is None else f"ACCELEROMETER_MEASURE NAME=a{rest}\n"
-    path.write_text(f"G28\nG90\nG1 X0 Y0 Z5 F3000\n{toggle}G1 X9 F6000\n{toggle}", encoding="utf-8")
-    with pytest.raises(MeasurementError, match=rf"{sentence}.*record plan --print plain\.gcode"):
-        plan_of(path, machine)
 
 
 @pytest.fixture(scope="module")
@@ -164,11 +143,3 @@ def test_a_print_that_was_cancelled_leaves_too_little(
     assert sentence in joined.refused[0].why
     code, said = updated(print_file, [first, broken], tmp_path)
     assert code == 5 and "There is one layer only" in said and "give captures of two or more" in said
-
-
-def test_a_print_of_another_printer_is_refused(recorded: tuple[Path, list[Path]], tmp_path: Path) -> None:
-    """Beyond the bed of the machine: the command itself says so."""
-    path = tmp_path / "far.gcode"
-    path.write_text(recorded[0].read_text(encoding="utf-8").replace("X110 Y110", "X410 Y110"), encoding="utf-8")
-    code, said = updated(path, recorded[1], tmp_path)
-    assert code in (4, 5) and "far.gcode" in said

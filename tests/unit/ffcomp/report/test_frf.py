@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.identification.frf_study import View, study, view_of
+from ffcomp.identification.frf_study import study, view_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
@@ -67,24 +67,6 @@ def test_responses_of_the_printer(machine: Machine, of, per) -> None:
     np.testing.assert_allclose(np.moveaxis(found, 2, 0), wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--of", "carriage-alone", "--per", "nozzle"], "no response of the whole printer"),
-        (["--added-mass-kg", "0.1"], "--of carriage-alone, not carriage"),
-        (["--with-arms"], "--of effector-alone, not carriage"),
-        (["--lowest-hz", "300"], "--lowest-hz 300 lies above --highest-hz 200"),
-        (["--highest-hz", "1e5", "--step-hz", "0.01"], "more than 100000 frequencies"),
-        (["--at", "200,0"], "print radius"),
-        (["--at", "here"], "two numbers"),
-    ],
-)
-def test_what_cannot_be_is_said(arguments: list[str], words: str) -> None:
-    result = run(*arguments)
-    assert result.exit_code == 2
-    assert words in " ".join(result.stderr.replace("│", " ").split())
-
-
 # --- Measurements
 
 
@@ -123,18 +105,3 @@ def test_every_kind_of_measurement_is_met_by_its_own_machine(machine: Machine, g
     (each,) = station.compared
     np.testing.assert_allclose(each.measured, 1.25 * station.value[:, *each.pair], rtol=1e-9)
     assert each.magnitude_percent == pytest.approx(80.0) and each.phase_percent == pytest.approx(100.0)
-
-
-def test_what_does_not_belong_is_said(machine: Machine) -> None:
-    responses = [measured(machine, "cmd_x", "pos_x"), measured(machine, "force_x", "acc_x")]
-    found = study(machine, View(), FREQUENCIES, [np.zeros(2)], responses)
-    assert not found.compared
-    assert "look at it with --of nozzle --per nozzle" in found.left_out[0]
-    assert "answers no command" in found.left_out[1]
-
-
-def test_a_measurement_off_the_bed_is_refused(tmp_path: Path, machine: Machine) -> None:
-    path = tmp_path / "off.csv"
-    write_frf(path, replace(measured(machine, "cmd_A", "pos_A"), position_mm=(134.0, 134.0, 30.0)))
-    result = run("--measured", path)
-    assert result.exit_code == 5 and "print radius" in result.stderr

@@ -21,10 +21,6 @@ def test_a_name_that_somebody_lets_point_here_does_not_pass(host: str) -> None:
     assert refused is not None and refused[0] == 421
 
 
-def test_a_host_that_is_no_host_is_refused() -> None:
-    assert refusal("GET", {"host": "[::1"}, SETTINGS) is not None
-
-
 @pytest.mark.parametrize(
     ("headers", "status"),
     [

@@ -37,13 +37,8 @@ def held(uploads: Uploads) -> list[str]:
         ("../../etc/passwd", "passwd"),
         ("C:\\Windows\\system.ini", "system.ini"),
         ("..", "file"),
-        ("", "file"),
-        ("-rf.gcode", "rf.gcode"),
-        (".bashrc", "bashrc"),
         ("a\0b\n.gcode", "a_b_.gcode"),
-        ("Würfel 20 mm.gcode.3mf", "Würfel 20 mm.gcode.3mf"),
         ("raw_data_axis=1.000,-1.000.csv", "raw_data_axis=1.000,-1.000.csv"),
-        ("%2e%2e%2fx", "_2e_2e_2fx"),
         ("x" * 300 + ".gcode", "x" * 114 + ".gcode"),
     ],
 )

@@ -125,12 +125,3 @@ def test_each_axis_has_its_own_shaper() -> None:
     both = shapers.shape(lambda t: parabola(t)[:, [0, 0, 0]], T, x=x, y=y)
     alone = [shapers.shape(parabola, T, x=s)[:, 0] for s in (x, y)]
     assert both == pytest.approx(np.column_stack([*alone, parabola(T)[:, 0]]))
-
-
-@pytest.mark.parametrize(
-    ("hz", "zeta", "message"),
-    [(0.0, 0.1, "above zero"), (np.nan, 0.1, "above zero"), (40.0, 1.0, r"\[0, 1\)")],
-)
-def test_impossible_shapers_are_refused(hz: float, zeta: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        shapers.mzv(hz, zeta)

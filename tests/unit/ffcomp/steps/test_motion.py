@@ -74,8 +74,8 @@ def test_lines_stand_where_their_moment_is(tmp_path: Path) -> None:
     assert records[7].seconds == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("lines_before", range(5))
-@pytest.mark.parametrize("ahead_s", [None, 0.1, 0.3, 0.6, 0.69, 0.9])
+@pytest.mark.parametrize("lines_before", [0, 3])
+@pytest.mark.parametrize("ahead_s", [None, 0.3, 0.69])
 def test_a_host_that_makes_steps_ahead_never_stops_on_the_path(
     tmp_path: Path, lines_before: int, ahead_s: float | None
 ) -> None:
