@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp import shapers
+from ffcomp.comparison.baselines import shaped
 from ffcomp.comparison.methods import segments_motion
 from ffcomp.inverse.settings import WriterSettings, settings_for
 from ffcomp.planner.trajectory import Trajectory
@@ -130,7 +131,7 @@ def tuned(name: str, original: judge.Original, kind: str) -> judge.Tuned:
     near = coarse.frequency_hz + np.array([-1.0, 0.0, 1.0])
     fine = judge.best_shaper(original, original.motion, kind, near, (coarse.damping_ratio,), TUNING_STEP_S)
     shaper = shapers.SHAPERS[kind](fine.frequency_hz, fine.damping_ratio)
-    return replace(fine, score=judge.judge(original, judge.shaped(original.motion, shaper)))
+    return replace(fine, score=judge.judge(original, shaped(original.motion, shaper, shaper)))
 
 
 ABLATIONS: dict[str, dict[str, Any]] = {

@@ -1,11 +1,10 @@
-"""A page as an independent printer would draw it, and as a scanner or a phone would see it.
+"""A page as an independent printer would draw it, and as a scanner would see it.
 
-The nozzle moves as the plants do: masses on belts that damp, a second mass on its mount, bristles that rub. The bead
+The nozzle moves as the plant does: masses on belts that damp, a second mass on its mount, bristles that rub. The bead
 conserves volume: pressure lags behind the extruder, so that a line begins thin and ends in a blot. It is pulled after
 the nozzle (a tractrix), averaged over the bore, and has two rough edges that know nothing of each other. The scanner's
-carriage wobbles and stretches, the phone looks from aside through a lens; both have blur, shading, gloss, dust, noise
-and JPEG. Wrong conditions of a print are drawn too: a speed factor, an input shaper. Nothing here is shared with
-`ffcomp/identification` or with the vibration models.
+carriage wobbles and stretches; the picture has blur, shading, dust and noise. Wrong conditions of a print are drawn
+too: a speed factor, an input shaper. Nothing here is shared with `ffcomp/identification` or with the vibration models.
 """
 
 from __future__ import annotations
@@ -18,10 +17,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from ffcomp.record.page import SLOW, STROKE
 from ffcomp.record.plan import Experiment, Plan
-from validation.plants import delta_plant, straight_plant
+from validation.plants import straight_plant
 
 Array = NDArray[np.float64]
 
@@ -84,22 +84,8 @@ def zv(hz: tuple[float, float], damping: float = 0.1) -> Conditions:
 # ---- what the printer draws ----------------------------------------------------------------------
 
 
-def delta_player(machine: dict[str, Any]) -> Callable[[Any, float], Array]:
-    """Return a function that plays an experiment on the independent delta: (n, 2) mm every so many seconds."""
-
-    def play(experiment: Any, step_s: float) -> Array:
-        every = 4
-        h = step_s / every
-        rows = every * int((experiment.duration_s + LEAD_S + AFTER_S) / step_s)
-        t = 0.5 * h * np.arange(2 * rows + 1, dtype=np.float64) - LEAD_S
-        command = delta_plant.carriages_of(machine, experiment.motion.nozzle(t))
-        return np.asarray(delta_plant.simulate(machine, command, h, keep_every=every)["nozzle_mm"][:, :2])
-
-    return play
-
-
 def straight_player(plant: straight_plant.Plant) -> Callable[[Any, float], Array]:
-    """Return the same of the independent printer with straight axes."""
+    """Return a function that plays an experiment on the independent printer: (n, 2) mm every so many seconds."""
 
     def play(experiment: Any, step_s: float) -> Array:
         rows = int((experiment.duration_s + LEAD_S + AFTER_S) / step_s)
@@ -192,85 +178,56 @@ def _noise(n: int, length: float, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True)
 class Camera:
-    """A flatbed scanner (tilt 0) or a phone."""
+    """A flatbed scanner."""
 
-    dpi: float = 600.0  # in the middle of the page
+    dpi: float = 600.0
     turn_deg: float = 1.0
-    tilt_deg: tuple[float, float] = (0.0, 0.0)
-    stretch: float = 0.0  # of one axis
-    wobble_mm: float = 0.0  # rms, of the scanner's carriage
-    barrel: float = 0.0  # of the lens, at the corner of the picture
+    stretch: float = 0.002  # of one axis
+    wobble_mm: float = 0.03  # rms, of the carriage
     blur_px: float = 0.8
     noise: float = 0.01
     shade: float = 0.05  # by which the light falls off
     glint: float = 0.1  # of edges
-    gloss: float = 0.0  # of crests, towards the light
     dust: int = 200
-    quality: int = 92  # of JPEG; 0: PNG
     margin_mm: float = 12.0
     ink: float = 0.15  # brightness of the bead
     paper: float = 0.9
 
 
-SCANNER = Camera(wobble_mm=0.03, stretch=0.002)
-FINE_SCANNER = Camera(dpi=1200.0, wobble_mm=0.03, stretch=-0.0015, blur_px=1.2)
-PHONE = Camera(
-    dpi=0.0, turn_deg=4.0, tilt_deg=(7.0, -5.0), barrel=-0.012, blur_px=1.1, noise=0.015, shade=0.2, glint=0.15, dust=80
-)
-PHONE_PX = (3024, 4032)
-CREST = np.array([0.3, -0.2])  # of a half width: where the light is mirrored
+SCANNER = Camera()
 
 
-def photograph(drawings: list[Drawing], camera: Camera, seed: int, box: Array | None = None) -> NDArray[np.uint8]:
-    """Return the picture (rows, columns) of a page, or of a box (2, 2) mm of it."""
+def photograph(drawings: list[Drawing], camera: Camera, seed: int) -> NDArray[np.uint8]:
+    """Return the picture (rows, columns) of a page."""
     rng = np.random.default_rng(seed)
     points = np.concatenate([each.points_mm for each in drawings])
-    low, high = (points.min(axis=0), points.max(axis=0)) if box is None else box
-    low, high = low - camera.margin_mm, high + camera.margin_mm
+    low, high = points.min(axis=0) - camera.margin_mm, points.max(axis=0) + camera.margin_mm
     project, shape = _projection(camera, low, high, rng)
-    light, crest = np.zeros(shape), np.zeros(shape)
+    light = np.zeros(shape)
     for each in drawings:
         step = project(each.points_mm + np.array([[0.05, 0.0]])) - project(each.points_mm - np.array([[0.05, 0.0]]))
         side = project(each.points_mm + np.array([[0.0, 0.05]])) - project(each.points_mm - np.array([[0.0, 0.05]]))
         scale = np.sqrt(np.abs(step[:, 0] * side[:, 1] - step[:, 1] * side[:, 0])) / 0.1  # pixels a mm
-        px, half = project(each.points_mm), 0.5 * each.width_mm * scale
-        _cover(light, px, half)
-        if camera.gloss:
-            _cover(crest, px + half[:, None] * CREST, 0.3 * half)
-    return _developed(light, crest, camera, shape, rng)
+        _cover(light, project(each.points_mm), 0.5 * each.width_mm * scale)
+    return _developed(light, camera, shape, rng)
 
 
 def _projection(
     camera: Camera, low: Array, high: Array, rng: np.random.Generator
 ) -> tuple[Callable[[Array], Array], tuple[int, int]]:
     """Return page mm (n, 2) -> pixels (n, 2) columns column, row; and the picture's shape."""
-    middle, size = 0.5 * (low + high), high - low
-    a, b, c = np.radians([camera.tilt_deg[0], camera.tilt_deg[1], camera.turn_deg])
-    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-    about_z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
-    turn = about_x @ about_y @ about_z
-    if camera.dpi:
-        scale = camera.dpi / 25.4
-        shape = (int(size[1] * scale * 1.02), int(size[0] * scale * 1.02))
-    else:
-        shape = PHONE_PX[::-1] if size[1] > size[0] else PHONE_PX
-        scale = 0.93 * min(shape[0] / size[1], shape[1] / size[0])
-    distance = 3.0 * float(size.max()) if camera.dpi == 0 else 1e6
+    middle, size, scale = 0.5 * (low + high), high - low, camera.dpi / 25.4
+    cos, sin = np.cos(np.radians(camera.turn_deg)), np.sin(np.radians(camera.turn_deg))
+    turn = np.array([[cos, -sin], [sin, cos]])
+    shape = (int(size[1] * scale * 1.02), int(size[0] * scale * 1.02))
     half = 0.5 * np.array([shape[1], shape[0]])
     periods = np.exp(rng.uniform(np.log(3.0), np.log(60.0), (6, 2))) * scale  # px
     phases = rng.uniform(0, 2 * np.pi, (6, 2))
 
     def project(xy: Array) -> Array:
-        flat = np.column_stack([xy - middle, np.zeros(len(xy))]) @ turn.T
-        seen = flat[:, :2] * (distance / (distance + flat[:, 2:]))
-        px = scale * seen * [1.0 + camera.stretch, -1.0]
-        radius2 = np.sum((px / np.linalg.norm(half)) ** 2, axis=1)
-        px = px * (1.0 + camera.barrel * radius2)[:, None] + half
-        if camera.wobble_mm:
-            wave = np.sin(2 * np.pi * px[:, 1:2, None] / periods.T[None] + phases.T[None]).sum(axis=2)
-            px = px + camera.wobble_mm * scale * wave / np.sqrt(3.0)
-        return np.asarray(px)
+        px = scale * ((xy - middle) @ turn.T) * [1.0 + camera.stretch, -1.0] + half
+        wave = np.sin(2 * np.pi * px[:, 1:2, None] / periods.T[None] + phases.T[None]).sum(axis=2)
+        return np.asarray(px + camera.wobble_mm * scale * wave / np.sqrt(3.0))
 
     return project, shape
 
@@ -296,11 +253,7 @@ def _cover(light: Array, px: Array, half: Array) -> None:
                     light[row, column] = share
 
 
-def _developed(
-    covered: Array, crest: Array, camera: Camera, shape: tuple[int, int], rng: np.random.Generator
-) -> NDArray[np.uint8]:
-    from scipy.ndimage import gaussian_filter
-
+def _developed(covered: Array, camera: Camera, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.uint8]:
     rows, columns = shape
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
     shade = 1.0 - camera.shade * (0.7 * x / columns + 0.3 * (y / rows) ** 2)
@@ -309,7 +262,6 @@ def _developed(
         row, column, size = rng.integers(rows), rng.integers(columns), rng.integers(1, 5)
         paper[row : row + size, column : column + rng.integers(1, 9)] *= rng.uniform(0.3, 0.9)
     ink = camera.ink + camera.glint * np.clip(np.gradient(gaussian_filter(covered, 2.0), axis=1) * 4.0, 0.0, 1.0)
-    ink = ink + camera.gloss * crest
     picture = gaussian_filter(shade * (paper * (1.0 - covered) + ink * covered), camera.blur_px)
     picture += camera.noise * rng.standard_normal(shape)
     return np.asarray(np.clip(255 * picture, 0, 255), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Random prints through the main job: `python -m validation.fuzz [prints] --minutes 1 --seed 1 --keep FOLDER`.
+"""Random prints through the main job: `python -m validation.fuzz --minutes 1 --seed 1 --keep FOLDER`.
 
 Each result is held to the invariants of `validation/invariants.py`. Nine in ten prints have unknown places. FOLDER
 keeps every print that failed, named after the error and its place; the command then ends with 1. The readers of G-code,
@@ -12,7 +12,6 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from tests.fuzz.test_random_programs import IN_A_ROW, Case, compensated, inverter, random_print
@@ -21,27 +20,18 @@ from validation.invariants import violations
 SLOW_S = 10.0  # for one print: as bad as a crash
 
 
-def fuzzed(seconds: float, seed: int, keep: Path) -> tuple[int, int]:
-    """Return the numbers of prints and of failures; the prints are numbered from seed million on."""
-    begin, number, failures = time.monotonic(), 1_000_000 * seed, 0
-    while time.monotonic() - begin < seconds:
-        if number // (10 * IN_A_ROW) % 10:
-            case = Case.of(number)
-            failures += failed(case.violations, case.data, keep)
-        else:
-            data = random_print(number)
-            failures += failed(partial(broken, data), data, keep)
-        number += 1
-    return number - 1_000_000 * seed, failures
+def violations_of(number: int) -> tuple[bytes, Callable[[], list[str]]]:
+    """Return a print, and what compensates it and says what is wrong."""
+    if number // (10 * IN_A_ROW) % 10:
+        case = Case.of(number)
+        return case.data, case.violations
+    data = random_print(number)
+    return data, lambda: violations(data, compensated(data, inverter()), inverter().machine)
 
 
-def broken(data: bytes) -> list[str]:
-    return violations(data, compensated(data, inverter()), inverter().machine)
-
-
-def failed(one: Callable[[], list[str]], data: bytes, keep: Path) -> bool:
+def failed(number: int, keep: Path) -> bool:
     """Run a print; if it fails or takes long it is kept, one of each kind, and the fuzzing goes on."""
-    begin = time.perf_counter()
+    (data, one), begin = violations_of(number), time.perf_counter()
     try:
         found = one()
         slow = time.perf_counter() - begin > SLOW_S
@@ -58,13 +48,15 @@ def failed(one: Callable[[], list[str]], data: bytes, keep: Path) -> bool:
 def main() -> int:
     """Fuzz for a time; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("target", nargs="?", choices=["prints"], default="prints")
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, default=None, help="failures; default: a new folder")
     asked = parser.parse_args()
     keep = asked.keep or Path(tempfile.mkdtemp(prefix="fuzz-"))
-    prints, failures = fuzzed(60 * asked.minutes, asked.seed, keep)
+    begin, first, failures, prints = time.monotonic(), 1_000_000 * asked.seed, 0, 0
+    while time.monotonic() - begin < 60 * asked.minutes:
+        failures += failed(first + prints, keep)
+        prints += 1
     print(f"{prints} prints, {failures} failures{f', kept in {keep}' if failures else ''}")
     return bool(failures)
 

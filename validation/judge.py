@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.comparison import methods as ours
-from ffcomp.comparison.baselines import shaped as shaped_apart
+from ffcomp.comparison.baselines import shaped
 from ffcomp.comparison.methods import Compensated, Segments, pick
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
@@ -136,11 +136,6 @@ def _cut(program: Program, first: int, last: int) -> Iterator[bytes]:
 
 
 # ---- motions -------------------------------------------------------------------------------------
-
-
-def shaped(motion: Motion, shaper: shapers.Shaper) -> Motion:
-    """x and y alike."""
-    return shaped_apart(motion, shaper, shaper)
 
 
 def compensated(original: Original, settings: Settings | None = None) -> Compensated:
@@ -288,7 +283,7 @@ def best_shaper(
     """The one with the least contour error of all that are tried."""
     make = shapers.SHAPERS[kind]
     tried = (
-        Tuned(f, zeta, judge(original, shaped(motion, make(f, zeta)), step_s))
+        Tuned(f, zeta, judge(original, shaped(motion, make(f, zeta), make(f, zeta)), step_s))
         for f in frequencies_hz
         for zeta in damping_ratios
     )
@@ -297,7 +292,6 @@ def best_shaper(
 
 # ---- what the tests share ------------------------------------------------------------------------
 
-WHOLE_S = (0.0, np.inf)
 PARTS_S = {"ringing_tower": (75.0, 92.0), "lobed_vase": (75.0, 108.0), "far_star": (180.0, 197.0)}
 
 

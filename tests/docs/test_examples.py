@@ -133,24 +133,6 @@ def test_a_wrong_quote_is_found() -> None:
         run_block(block("$ ffcomp machines list\nthere is no such line\n"))
 
 
-def test_an_unknown_option_is_found() -> None:
-    right = "ffcomp identify fit CAPTURES -m my-delta --plan excite.json  # on another day"
-    assert usage_error(right) is None
-    assert "Unknown option" in str(usage_error(right.replace("--plan", "--plant")))
-    assert '"sho"' in str(usage_error("ffcomp sho out.gcode"))
-
-
-def test_fences_markers_and_continued_lines(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("<!-- not run: why -->\n\n```sh\nffcomp a \\\n    b\n```\n\n   ```console\n   $ c\n   d\n   ```\n")
-    first, second = blocks_of(page)
-    assert first.not_run == "why" and [c.text for c in commands_of(first)] == ["ffcomp a b"]
-    assert second.not_run == "" and commands_of(second)[0].quoted == ["d"]
-    page.write_text("```sh\nffcomp a\n")
-    with pytest.raises(AssertionError, match=r"page\.md:1: this block is never closed"):
-        blocks_of(page)
-
-
 @pytest.mark.parametrize(
     ("quoted", "actual", "same"),
     [

@@ -13,13 +13,6 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.held_out import OtherMotion
-from ffcomp.diagnosis.next_experiment import Separation
-from ffcomp.diagnosis.residual_curves import ResidualCurve
-from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
-from ffcomp.diagnosis.verb import Diagnosis, PrintGain
-from ffcomp.diagnosis.where import ResidualSize
-from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
 from scripts.pages import json_objects
@@ -32,7 +25,6 @@ from tests.support.json_page import Page
 from tests.support.prints import squares
 from tests.support.recordings import write_captures
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples
-from tests.support.residual import residual_at
 
 TRUTH = load_machine("mp-delta-pro")
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -161,59 +153,6 @@ def _head(text: str) -> int:
     return next(k for k, line in enumerate(text.splitlines()) if line[:1].isdigit())
 
 
-def test_diagnose(page: Page) -> None:
-    """Of a diagnosis made up: a real one takes a minute."""
-    hold(
-        page,
-        "ffcomp-diagnose/1",
-        [
-            Diagnosis(
-                result=_outcome(why),
-                problem=None,
-                search=None,
-                runs=(),
-                print_gain=PrintGain(90.0, 30.0, 3.0),
-                output=None,
-                seconds=1.0,
-            ).to_dict()
-            for why in ("effects", "unexplained", "dominant")
-        ],
-    )
-
-
-def _outcome(finding: str) -> DiagnosisResult:
-    name, verdict = "coulomb_friction", "effects" if finding == "effects" else "unknown"
-    size = ResidualSize(0.02, 0.01)
-    left = residual_at(size, "a-1.csv", {(1.0, 10.0): 1.0}, {(55.0, 20.0): 1.0}, (0.3, 0.6, 0.1))
-    rest = Rest(explained=0.83, left=left, rivals=[(("joint_friction",), 0.4)])
-    return DiagnosisResult(
-        verdict=verdict,
-        finding=finding,
-        effects={name: {"force_n": 1.1}},
-        intervals={f"effects.{name}.force_n": normal(1.1, 0.1)},
-        confidence={name: 0.99},
-        evidence=800.0,
-        others=[OtherMotion("b-1.csv", 0.3, 0.02, "coulomb_friction.force_n", 0.05, 0.015)],
-        rejections=["The interval holds zero."] if verdict == "unknown" else [],
-        invisible=["cogging"],
-        confounded_with=[("joint_friction", "Move one carriage by itself.")],
-        separations=[
-            Separation((name,), ("joint_friction",), 0.1, 4.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan")
-        ],
-        gap=Gap(
-            before=ResidualSize(0.3, 0.01),
-            after=ResidualSize(0.02, 0.01),
-            elsewhere=(0.3, 0.02),
-            unproven=["(55, 20)"],
-        ),
-        rest=rest if finding == "dominant" else None,
-        curves=[ResidualCurve("force", "N", "speed", "mm/s", (1.0, 9.0), (0.3, 0.0), (0.1, 0.1), 0.8, "below 5 mm/s")],
-        undetermined=["coulomb_friction.force_n"],
-        file=FileNumbers(retuned={"carriage.mass_kg": (0.18, 0.181)}, off={"effector.nozzle_mass_kg": (0.5, 0.56)}),
-        late_s={"a-1.csv": 2e-3},
-    )
-
-
 def test_record(page: Page, folder: Path, corexy: Path) -> None:
     plan = ("record", "plan", *MACHINE, "-o", folder / "moves.gcode", "--seconds", "2", "--at", "0,0")
     example = (
@@ -331,17 +270,3 @@ def test_the_tables_are_those_of_the_classes() -> None:
 def test_the_example_is_such_an_object(page: Page) -> None:
     (text,) = examples(REFERENCE / "json.md", "json")
     assert page.problems(json.loads(text), "ffcomp-compensate/1") == []
-
-
-def test_a_wrong_key_type_or_absence_is_found(tmp_path: Path) -> None:
-    path = tmp_path / "page.md"
-    path.write_text(
-        "## ffcomp-x/1\n| `a` | number | | |\n| `b[].c` | text or null | | |\n| `d.*` | list of numbers | | |\n"
-    )
-    small = Page(path)
-    assert small.problems({"a": 1, "b": [{"c": None}], "d": {"e": [1.5]}}, "ffcomp-x/1") == []
-    assert small.not_met("ffcomp-x/1") == []
-    assert small.problems({"a": True}, "ffcomp-x/1") == ["ffcomp-x/1 a is True, not number"]
-    assert small.problems({"b": [{}]}, "ffcomp-x/1") == ["ffcomp-x/1 a is missing", "ffcomp-x/1 b[].c is missing"]
-    assert small.problems({"a": 1, "f": 0}, "ffcomp-x/1") == ["ffcomp-x/1 f is not on the page"]
-    assert Page(path).not_met("ffcomp-x/1") == ["ffcomp-x/1 a", "ffcomp-x/1 b[].c", "ffcomp-x/1 d.*"]

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path, PurePosixPath
+
+import numpy as np
 import pytest
 
+from benchmarks import speed
+from models.effects.catalogue import CATALOGUE, effects_of_printers
+from models.file import load_machine
+from models.finding import LIBRARY
+from models.kinematics.cartesian import CartesianKinematics
+from models.machine import Machine, assumed_modes
+from scripts.pages import effects
+from scripts.site_pages import SOURCES, indented, with_sources
 from studies import render
+from tests.support.docs_runner import ROOT
+from tests.support.reference import REFERENCE, rows_of
 
 
 @pytest.mark.parametrize("name", render.PAGES)
@@ -24,3 +38,108 @@ def test_every_script_has_a_row_in_the_readme_of_its_folder(folder: str) -> None
     readme = (render.ROOT / folder / "README.md").read_text(encoding="utf-8")
     scripts = [p.stem for p in (render.ROOT / folder).glob("*.py") if "__main__" in p.read_text(encoding="utf-8")]
     assert [name for name in scripts if f"{folder}.{name}" not in readme and f"{folder}/{name}.py" not in readme] == []
+
+
+# ---- benchmarks ----
+
+
+SMALL = [speed.ROOT / "docs" / "examples" / "print.gcode"]
+
+
+@pytest.mark.parametrize("name", ["prints", "where", "read", "steps"])
+def test_every_section_has_a_row_with_its_numbers(name: str) -> None:
+    head, *rows = speed.SECTIONS[name](SMALL, 1)
+    assert rows and all(len(row) == len(head) for row in rows)
+    assert all(float(cell) > 0.0 for row in rows for cell in row[1:] if isinstance(cell, float))
+
+
+def test_a_print_is_repeated_between_its_own_beginning_and_end() -> None:
+    a, b = speed.LAYER + b"\na\n", speed.LAYER + b"\nb\n"
+    begin, end = b"begin\n", speed.END + b"\nend\n"
+    assert b"".join(speed.repeated(begin + a + b + end, 3)) == begin + a + b + a + end
+
+
+# ---- site ----
+
+
+PAGE = re.compile(r"([\w/-]+\.md)$", re.MULTILINE)
+
+
+def test_every_page_has_one_place() -> None:
+    _, _, nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")  # a key of its own
+    named = PAGE.findall(nav)
+    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    assert sorted(named) == sorted(pages), "give each page one line under `nav` of mkdocs.yml"
+
+
+def test_links_out_of_the_pages_lead_to_the_sources() -> None:
+    page = PurePosixPath("tutorials/a.md")
+    text = "[a](../SAFETY.md#b), [c](../../README.md#d), [e](../examples/print.gcode), [f](https://g.h), ![i](j.png)"
+    told = text.replace("../../README", SOURCES + "README").replace("../examples", SOURCES + "docs/examples")
+    assert with_sources(text, page) == told
+
+
+def test_what_belongs_to_an_item_is_indented_by_four() -> None:
+    text = "one:\n- a\n  b\n- c\n\n  ```\n  d\n    e\n  ```\n\n  f\n- g\n\nend\n  h\n\n1. i\n   j\n"
+    told = "one:\n\n- a\n    b\n- c\n\n    ```\n    d\n      e\n    ```\n\n    f\n\n- g\n\nend\n  h\n\n1. i\n    j\n"
+    assert indented(text) == told
+
+
+# ---- effects page ----
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+LARGEST_BYTES = 40_000
+
+
+def test_the_page_is_in_step_with_the_catalogue() -> None:
+    written = (DOCS / "EFFECTS.md").read_text(encoding="utf-8")
+    assert written == effects.page(), "python -m scripts.pages --write"
+
+
+def test_every_effect_has_its_small_figure_and_no_figure_is_left_over() -> None:
+    figures = {path.stem: path for path in (DOCS / "effects").glob("*.png")}
+    assert set(figures) == set(effects_of_printers()) == set(effects.SHOWN)
+    assert max(path.stat().st_size for path in figures.values()) < LARGEST_BYTES
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "effector_mass", "cogging", "sensor_gain", "arm_geometry"])
+def test_a_figure_shows_the_effect(name: str) -> None:
+    """One of each kind of view: the curve with the effect is another one by more than a tenth of a percent."""
+    shown = effects.SHOWN[name]
+    without, with_it = (shown.panels[0].draw(m) for m in effects.machines(CATALOGUE[name], shown))
+    np.testing.assert_array_equal(without.x, with_it.x)
+    assert np.abs(with_it.y - without.y).max() > 1e-3 * max(float(np.abs(without.y).max()), 1.0)
+
+
+# ---- library page ----
+
+
+PAGE_LIBRARY_PAGE = REFERENCE / "library.md"
+FILES = sorted(LIBRARY.glob("*.toml"))
+
+
+def expected(machine: Machine) -> list[str]:
+    name = machine.name.removesuffix(" (assumed dynamics)")
+    modes = machine.vibration.modes_at(np.array(machine.kinematics.centre_mm)).frequencies_hz
+    slowest = ", ".join(f"{f:.0f}" for f in sorted(modes)[:2])
+    assumed = "assumed" if assumed_modes(machine) else "measured"
+    return [f"`{Path(machine.path).stem}`", name, reach(machine), f"{slowest}, {assumed}", machine.flavor]
+
+
+def reach(machine: Machine) -> str:
+    kinematics = machine.kinematics
+    if isinstance(kinematics, CartesianKinematics):
+        return ", ".join(f"{low:g} to {high:g}" for low, high in kinematics.range_mm)
+    return f"radius {kinematics.print_radius_mm:g}, height {kinematics.print_height_mm:g}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_machine_has_its_row(path: Path) -> None:
+    rows = [row for kind in ("Deltas", "CoreXY", "Cartesian") for row in rows_of(PAGE_LIBRARY_PAGE, kind)]
+    assert expected(load_machine(path)) in rows
+
+
+def test_there_are_no_other_rows() -> None:
+    rows = [row for kind in ("Deltas", "CoreXY", "Cartesian") for row in rows_of(PAGE_LIBRARY_PAGE, kind)]
+    assert sorted(row[0].strip("`") for row in rows) == sorted(path.stem for path in FILES)

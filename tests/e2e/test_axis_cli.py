@@ -49,19 +49,3 @@ def test_its_file_is_checked_and_shown_and_a_free_axis_may_rest_anywhere(folder:
     text = (folder / "slide.toml").read_text()
     growing.write_text(re.sub(r"(damping_n_s_per_m\s*=\s*)\S+", r"\g<1>-1.0", text))
     assert run("machines", "check", growing)[0] == 5
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("compensate", "print.gcode", "-o", "out.gcode"),
-        ("record", "plan", "-o", "moves.gcode"),
-        ("estimate", "print.gcode"),
-    ],
-)
-def test_what_needs_gcode_refuses_an_axis_in_one_sentence(folder: Path, words: tuple[str, ...]) -> None:
-    (folder / "print.gcode").write_text("G28\nG1 X10 Y10 F3000\n")
-    given = [folder / word if "." in word else word for word in words]
-    code, _, told = run(*given, "-m", folder / "slide.toml")
-    assert code != 0
-    assert " ".join(told.split()).count("has no nozzle") == 1

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ffcomp.compensation.batch import check_targets, compensate_files, targets_in, workers
+from ffcomp.compensation.batch import compensate_files, workers
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.result import Failure, FileResult
@@ -103,25 +103,6 @@ def test_side_by_side_in_place(prints: list[Path], alone: list[bytes], tmp_path:
     again = compensate(*prints, "-q")
     assert again.exit_code == 0 and again.stderr == ""
     assert [path.read_bytes() for path in prints] == alone
-
-
-def test_nothing_is_overwritten_by_accident(prints: list[Path], tmp_path: Path) -> None:
-    first, second, _ = prints
-    other = tmp_path / "other"
-    other.mkdir()
-    twin, link = other / first.name, tmp_path / "link.gcode"
-    twin.write_bytes(first.read_bytes())
-    link.symlink_to(first)
-    with pytest.raises(ValueError, match="would both be written to"):
-        targets_in(tmp_path / "out", [first, twin])
-    with pytest.raises(ValueError, match="would both be written to"):
-        check_targets([first, link], [first, link])
-    with pytest.raises(ValueError, match=r"is in .* itself"):
-        targets_in(other / ".." / "other", [twin])
-    twin.unlink()
-    twin.symlink_to(second)
-    with pytest.raises(ValueError, match=r"written over .*b\.gcode, which is read as well"):
-        targets_in(other, [first, second])
 
 
 @dataclass(frozen=True)

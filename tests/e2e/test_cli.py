@@ -11,7 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cli import PLAIN, ffcomp
+from ffcomp.cli.app import app
+from ffcomp.steps.archive import read_steps
+from gcode.embedded import TIME_WAS, WITHOUT_ORIGINAL
+from models.file import load_machine
+from tests.support.cli import PLAIN, CliRunner, Result, ffcomp
+from tests.support.prints import squares
+from tests.support.steps import read_events
 
 ROOT = Path(__file__).parents[2]
 SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n;LAYER:0\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
@@ -60,3 +66,92 @@ def test_a_dry_run_writes_nothing(small: Path) -> None:
     answer = ffcomp("compensate", "-m", "mp-delta-pro", small, "--dry-run", "--json")
     assert json.loads(answer.stdout)["output"] is None
     assert small.read_bytes() == SMALL and [p.name for p in small.parent.iterdir()] == [small.name]
+
+
+# ---- compensate options ----
+
+
+MACHINE = "mp-delta-pro"
+
+
+@pytest.fixture
+def printed(tmp_path: Path) -> Path:
+    path = tmp_path / "squares.gcode"
+    path.write_bytes(squares(1))
+    return path
+
+
+def call(*words: str | Path) -> Result:
+    return CliRunner().invoke(app, ["compensate", *map(str, words)])
+
+
+def weak(tmp_path: Path, limit: str) -> Path:
+    """The library's machine with one limit more."""
+    text = Path(load_machine(MACHINE).path).read_text(encoding="utf-8")
+    path = tmp_path / "weak.toml"
+    path.write_text(text.replace("[limits]\n", f"[limits]\n{limit}\n"), encoding="utf-8")
+    return path
+
+
+def test_without_its_original_a_file_is_smaller_and_says_so(printed: Path, tmp_path: Path) -> None:
+    """The same segments at the same times, no comment that keeps a move, and a sentence wherever one is needed."""
+    whole, small = tmp_path / "whole.gcode", tmp_path / "small.gcode"
+    words = (printed, "-m", MACHINE, "-o")
+    said = call(*words, whole, "--json", "-q"), call(*words, small, "--no-embed")
+    results = [json.loads(said[0].stdout)["original_embedded"], "keep the sliced one" in said[1].output]
+    assert results == [True, True] and "keep the sliced one" not in said[0].output
+    kept, left = (path.read_bytes().splitlines(keepends=True) for path in (whole, small))
+    assert any(line.startswith(b";~") for line in kept) and not any(line.startswith(b";~") for line in left)
+    assert [line for line in kept if not line.startswith((b";~", TIME_WAS))] == [
+        line for line in left if not line.startswith(WITHOUT_ORIGINAL)
+    ]
+    before = small.read_bytes()
+    for verb in (["restore"], ["show"], ["compensate", "--force", "-m", MACHINE], ["compare", "-m", MACHINE]):
+        done = CliRunner().invoke(app, [*verb, str(small)])
+        assert done.exit_code == 4 and "--no-embed" in done.output, (verb, done.output)
+        assert small.read_bytes() == before
+    timed = CliRunner().invoke(app, ["estimate", str(small), "-m", MACHINE, "--json"])
+    assert timed.exit_code == 0, timed.output
+
+
+@pytest.mark.parametrize(("kind", "rows"), [("steps", False), ("klipper-steps", True)])
+def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> None:
+    before = printed.read_bytes()
+    done = call(printed, "-m", MACHINE, "--kind", kind, "--extruder-steps-per-mm", "400", "--json", "-q")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    archive = printed.with_suffix(".npz")
+    assert result["output"] == str(archive) and printed.read_bytes() == before
+    motors = read_steps(archive)
+    assert {name: total["steps"] for name, total in result["steps"].items()} == {
+        name: len(motor.time_s) for name, motor in motors.items()
+    }
+    assert (result["steps"]["a"]["rows"] > 0) == rows
+    assert len(read_events(archive)[1]) > 3
+    judged = CliRunner().invoke(app, ["simulate", str(archive), "-m", MACHINE, "--json", "-q"])
+    assert judged.exit_code == 0, judged.output
+
+
+def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
+    machine = weak(tmp_path, "step_rate_hz = 4000.0")  # 50 mm/s of a carriage
+    before = printed.read_bytes()
+    refused = call(printed, "-m", machine, "--strict", "-q")
+    assert refused.exit_code == 6 and "would have to be slowed" in refused.output
+    assert printed.read_bytes() == before
+    slowed = call(printed, "-m", machine, "--json", "-q")
+    assert slowed.exit_code == 0, slowed.output
+    result = json.loads(slowed.stdout)
+    assert result["slowed"] and result["slowed"][0]["limit"] == "velocity"
+    assert any("slowed to" in sentence and "line" in sentence for sentence in result["warnings"])
+    assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
+
+
+def test_a_bound_that_is_not_kept_is_told_and_refused(printed: Path, tmp_path: Path) -> None:
+    """A feature that keeps its speed cannot keep a tenth of a micrometre: a line says where, exit 6 if strict."""
+    bound = ("--max-error-um", "0.1", "--keep-speed", "other", "-o", tmp_path / "out.gcode")
+    answer = call(printed, "-m", MACHINE, "--json", "-q", *bound)
+    assert answer.exit_code == 0
+    (said,) = (line for line in json.loads(answer.stdout)["warnings"] if "times its bound" in line)
+    assert said.startswith("line ") and " µm here" in said
+    refused = call(printed, "-m", MACHINE, "--strict", *bound)
+    assert refused.exit_code == 6 and "times its bound" in refused.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 from zipfile import ZipFile
@@ -70,17 +69,6 @@ def test_one_plate_that_is_done_stays_as_it_is(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["moves"] == 2
     first, second = contents(archive.read_bytes()).values()
     assert first == plain.read_bytes() and b"Processed by ffcomp" in second
-
-
-@pytest.mark.parametrize("verb", ["compensate", "show", "restore", "simulate", "compare"])
-@pytest.mark.parametrize("content", [gzipped(PRINT)[:40], archive_3mf(PRINT)[:500], b"\x89PNG\r\n\x1a\n", b""])
-def test_what_cannot_be_read_is_refused_and_stays(tmp_path: Path, verb: str, content: bytes) -> None:
-    path = tmp_path / "part.gcode"
-    path.write_bytes(content)
-    machine = () if verb in ("show", "restore") else ("-m", MACHINE)
-    refused = call(verb, path, *machine)
-    assert refused.exit_code == 4 and re.search(rf"ffcomp: {re.escape(str(path))}(:1)?: The ", refused.output)
-    assert path.read_bytes() == content and [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
 def test_the_archives_own_prediction_follows_the_time_in_the_gcode(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.compensation import text_stream as times
 from ffcomp.compensation.statistics import Statistics as Compensation
-from ffcomp.compensation.text_stream import in_order, with_times_retold
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
 from ffcomp.estimation.statistics import (
@@ -29,7 +28,7 @@ from ffcomp.estimation.statistics import (
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
-from gcode.metadata import Timed, tells
+from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from models.file import load_machine
@@ -206,20 +205,6 @@ def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> No
     text, total_s = timed()
     assert found.print_time_s == pytest.approx(total_s)
     assert [line for line in one.splitlines() if tells(line)] == [line for line in text.splitlines() if tells(line)]
-
-
-def test_waiting_for_the_end_keeps_every_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(times, "IN_MEMORY", 10)
-    monkeypatch.setattr(times, "BLOCK", 7)
-    pieces = [b"a\n", Timed.at(b"M73 P5 R1\n", 30.0), b"b" * 100 + b"\n", Timed.at(b";LAYER:0\n", 40.0)]
-    pieces += [Timed.at(b";TIME:5", 60.0)]
-    total_s: list[float] = []
-    got = in_order(with_times_retold(pieces, lambda: (total_s[0], 100.0)), tmp_path)
-    assert next(got) == b"a\n"
-    total_s.append(120.0)
-    rest = b"".join(got)
-    assert rest == (b"; ffcomp was P5 R1\nM73 P25 R2\n" + b"b" * 100 + b"\n;LAYER:0\n; ffcomp was 5\n;TIME:120")
-    assert not list(tmp_path.iterdir())
 
 
 # -- the command --

@@ -30,7 +30,6 @@ resource = pytest.importorskip("resource", reason="These faults are made with a 
 
 ROOT = Path(__file__).parents[2]
 SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n;LAYER:0\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
-NOBODY = 65534
 
 
 @cache
@@ -90,46 +89,6 @@ def test_a_full_disk(small: Path, size: int) -> None:
         sentence = refused(small)
     assert str(small) in sentence and os.strerror(errno.EFBIG) in sentence
     assert small.read_bytes() == SMALL and names(small.parent) == ["small.gcode", "warm"]
-
-
-@contextlib.contextmanager
-def as_nobody() -> Iterator[None]:
-    """Without the rights of whoever runs the tests, if that is root."""
-    if os.geteuid() != 0:
-        yield
-        return
-    os.seteuid(NOBODY)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-
-
-@pytest.fixture
-def foreign(small: Path) -> Iterator[Path]:
-    """A folder with a print that others may read; pytest's own folders may not be entered by others."""
-    compensated(small)  # whatever it loads: nobody may not look for it in this user's folders
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "small.gcode").write_bytes(SMALL)
-        folder.chmod(0o555)
-        yield folder
-        folder.chmod(0o755)
-
-
-def test_a_folder_that_is_read_only(foreign: Path) -> None:
-    file = foreign / "small.gcode"
-    with as_nobody():
-        sentence = refused(file)
-    assert sentence == f"{file}: It cannot be written: {os.strerror(errno.EACCES)}."
-    assert file.read_bytes() == SMALL and names(foreign) == ["small.gcode"]
-
-
-def test_a_file_that_may_not_be_read(foreign: Path) -> None:
-    file = foreign / "small.gcode"
-    file.chmod(0o000)
-    with as_nobody():
-        assert refused(file) == f"{file}: {os.strerror(errno.EACCES)}."
 
 
 # -- others --
@@ -223,20 +182,6 @@ def test_links(small: Path) -> None:
     assert dangling.is_symlink() and already_processed(small.with_name("nowhere").read_bytes())
 
 
-def test_targets_that_cannot_be(small: Path) -> None:
-    pipe = small.with_name("pipe")
-    os.mkfifo(pipe)
-    for target in (small.parent, Path(os.devnull), pipe):
-        assert "only a file can be written" in refused(small, target)
-    assert stat.S_ISCHR(os.stat(os.devnull).st_mode) and stat.S_ISFIFO(pipe.stat().st_mode)
-    missing = small.parent / "missing" / "out.gcode"
-    assert refused(small, missing) == f"{missing}: It cannot be written: {os.strerror(errno.ENOENT)}."
-    below = small / "out.gcode"  # a file where a folder should be
-    assert refused(small, below) == f"{below}: It cannot be written: {os.strerror(errno.ENOTDIR)}."
-    pipe.unlink()
-    assert names(small.parent) == ["small.gcode"] and small.read_bytes() == SMALL
-
-
 # -- the process --
 
 LONG = SMALL + b"".join(b"G1 X%d Y%d E.1\n%b" % (k % 40, k * 7 % 40, b"M400\n" * (k % 50 == 0)) for k in range(6_000))
@@ -279,10 +224,3 @@ def test_compiled_code_has_a_place_where_nothing_else_is_writable(
     monkeypatch.delenv(VARIABLE)
     ensure_cache_folder()
     assert Path(os.environ[VARIABLE]) != folder
-
-
-def test_a_place_that_the_user_has_chosen_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    monkeypatch.setenv(VARIABLE, "chosen")
-    ensure_cache_folder()
-    assert os.environ[VARIABLE] == "chosen"

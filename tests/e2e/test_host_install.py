@@ -69,9 +69,3 @@ def test_klipper_has_it_among_its_extras(home: Path) -> None:
     assert done.returncode == 0 and "[include ffcomp.cfg]" in done.stdout
     assert (home / "klipper/klippy/extras/ffcomp_print/__init__.py").exists()
     assert not (home / "moonraker/moonraker/components/ffcomp.py").exists()
-
-
-def test_what_is_missing_is_told(tmp_path: Path) -> None:
-    assert "has no ffcomp" in install(tmp_path).stderr
-    assert "no Klipper or Kalico" in install(tmp_path, "--only-module").stdout
-    assert install(tmp_path, "--other").returncode == 2

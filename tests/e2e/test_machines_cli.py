@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
-from ffcomp.cli.machines import machines as app
+from ffcomp.cli.app import app
+from ffcomp.cli.machines import machines
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration
 from tests.support.cli import CliRunner, Result
+from tests.support.prints import squares
+from tests.support.reference import call
 
 
 @pytest.fixture
@@ -21,7 +25,7 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def run(own_folder: Path):
     def run(*arguments: str) -> Result:
-        return CliRunner().invoke(app, arguments)
+        return CliRunner().invoke(machines, arguments)
 
     return run
 
@@ -47,3 +51,64 @@ def test_new_stays_in_its_folder(run, own_folder: Path) -> None:
     result = run("new", "../mine")
     assert result.exit_code == 2
     assert "cannot be a machine's name" in result.stderr
+
+
+# ---- library machines ----
+
+
+SQUARE = "G28\nG90\nM83\nG1 Z0.3 F600\nG1 X{0} Y{0} F9000\nG1 X{1} E1 F6000\nG1 Y{1} E1\nG1 X{0} E1\nG1 Y{0} E1\n"
+MACHINES = {"flsun-v400": (-10, 10), "prusa-mk4": (100, 120)}
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_small_print_is_compensated_and_says_what_is_assumed(name: str, tmp_path: Path) -> None:
+    (tmp_path / "square.gcode").write_text(SQUARE.format(*MACHINES[name]), encoding="utf-8")
+    done = call("compensate", tmp_path / "square.gcode", "-m", name, "--dry-run", "--json", "--robust", "off")
+    result = json.loads(done.stdout)
+    predicted, sentence = result["predicted"], f"The modes of {name} are assumed, not measured"
+    # 0.12 on the MK4, 1.06 µm: Marlin's jerk leaves steps of speed that no command undoes, and its ends are whole steps
+    assert predicted["compensated"]["contour_rms_um"] < 0.13 * predicted["uncompensated"]["contour_rms_um"]
+    assert result["machine"]["assumed"].startswith(sentence)
+    first, *others = result["answer"]["warnings"]
+    assert first.startswith(sentence) and not any("input shaper" in each for each in others)
+
+
+def test_a_measured_machine_says_nothing(tmp_path: Path) -> None:
+    (tmp_path / "square.gcode").write_text(SQUARE.format(-10, 10), encoding="utf-8")
+    done = call("compensate", tmp_path / "square.gcode", "-m", "mp-delta-pro", "--dry-run", "--no-predict", "--json")
+    assert json.loads(done.stdout)["machine"]["assumed"] is None
+    assert "are assumed" not in done.output
+
+
+# ---- machine of a print ----
+
+
+@pytest.fixture
+def print_of_my_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """A print that was compensated with `-m ./my.toml`, and that file, in different folders; the cache is empty."""
+    monkeypatch.setenv("FFCOMP_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "machines").mkdir()
+    machine, printed = tmp_path / "machines" / "my.toml", tmp_path / "squares.gcode"
+    machine.write_bytes(Path(load_machine("mp-delta-pro").path).read_bytes() + b"\n# mine\n")
+    printed.write_bytes(squares(1))
+    monkeypatch.chdir(tmp_path / "machines")
+    done = CliRunner().invoke(app, ["compensate", str(printed), "-m", "./my.toml", "-q", "--no-predict"])
+    assert done.exit_code == 0, done.output
+    monkeypatch.chdir(tmp_path)
+    return printed, machine
+
+
+def test_show_and_estimate_find_a_machine_that_has_no_name(print_of_my_machine: tuple[Path, Path]) -> None:
+    printed, machine = print_of_my_machine
+    for verb in ("show", "estimate"):
+        done = CliRunner().invoke(app, [verb, str(printed), "--json"])
+        assert done.exit_code == 0, done.output
+    machine.rename(printed.with_name("moved.toml"))  # beside the print
+    assert CliRunner().invoke(app, ["estimate", str(printed)]).exit_code == 0
+
+
+def test_a_machine_that_has_changed_is_another(print_of_my_machine: tuple[Path, Path]) -> None:
+    printed, machine = print_of_my_machine
+    machine.write_bytes(machine.read_bytes() + b"# changed\n")
+    refused = CliRunner().invoke(app, ["show", str(printed)])
+    assert refused.exit_code == 5 and "name the file with --machine" in refused.output

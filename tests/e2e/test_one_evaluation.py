@@ -9,19 +9,21 @@ import pytest
 
 from ffcomp.numerics.digits import um
 from ffcomp.report.show import show_figure
+from ffcomp.result import Answer
 from ffcomp.serve.answers import answer_of
 from ffcomp.simulation.forecast import NO_FORECAST, forecast_in
 from ffcomp.simulation.preview import preview
 from gcode.embedded import already_processed, find_offset
 from models.file import load_machine
 from tests.support.cli import ffcomp
+from tests.support.configs import Delta, written
 from tests.support.prints import squares
 
 KEYS = ("predicted", "predicted_over_s", "expected", "verdict")
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def print_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A print beyond the length of what is simulated on every printer."""
     path = tmp_path_factory.mktemp("one") / "print.gcode"
     path.write_bytes(squares(layers=12))
@@ -38,9 +40,9 @@ def drawn(target: Path, name: str) -> str:
     return str(show_figure(seen, forecast, "a print").get_suptitle())
 
 
-def test_every_surface_states_the_same_numbers(written: Path) -> None:
-    target = written.with_name("out.gcode")
-    call = ("compensate", written, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target)
+def test_every_surface_states_the_same_numbers(print_file: Path) -> None:
+    target = print_file.with_name("out.gcode")
+    call = ("compensate", print_file, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target)
     done, people = ffcomp(*call, "--json"), ffcomp(*call)
     shown = ffcomp("show", target, "--json")
     assert done.exit_code == shown.exit_code == 0, done.stderr + shown.stderr
@@ -60,10 +62,50 @@ def test_every_surface_states_the_same_numbers(written: Path) -> None:
     assert all(um(made["expected"][f"{way}_um"]) in headline for way in made["predicted"])
 
 
-def test_a_file_without_its_numbers_is_evaluated_and_says_so(written: Path) -> None:
-    target = written.with_name("unpredicted.gcode")
-    done = ffcomp("compensate", written, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target, "--no-predict")
+def test_a_file_without_its_numbers_is_evaluated_and_says_so(print_file: Path) -> None:
+    target = print_file.with_name("unpredicted.gcode")
+    done = ffcomp("compensate", print_file, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target, "--no-predict")
     shown = ffcomp("show", target)
     assert done.exit_code == shown.exit_code == 0, done.stderr + shown.stderr
     assert "The file contains no prediction for this machine; these errors were computed now." in shown.stdout
     assert b"; ffcomp forecast=" not in target.read_bytes() and "times less" in shown.stdout
+
+
+# ---- one answer ----
+
+
+SQUARE = b"G28\nG90\nM83\nG1 X10 Y0 Z20 F6000\nG1 X20 Y0 E.3\nG1 X20 Y10 E.3\nG1 X10 Y10 E.3\nG1 X10 Y0 E.3\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "print.gcode").write_bytes(SQUARE)
+    written(tmp_path, Delta().klipper(), "printer.cfg")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "machines list",
+        "machines show ender-3",
+        "machines check mp-delta-pro-as-printed",
+        "machines diff mp-delta-pro kossel",
+        "machines import printer.cfg -o imported.toml",
+        "frf -m mp-delta-pro --at 0,0 --at -80,0",
+        "estimate print.gcode -m mp-delta-pro --layers",
+        "estimate print.gcode print.gcode -m mp-delta-pro",
+        "record plan -m mp-delta-pro -o moves.gcode --seconds 2 --at 0,0",
+        "record plan --for scan -m ender-3 -o page.gcode",
+        "identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o better.toml",
+    ],
+)
+def test_the_terminal_prints_the_answer_of_the_object(words: str, folder: Path) -> None:
+    printed = ffcomp(*words.split(), "-q", cwd=folder)
+    for made in ("imported.toml", "better.toml"):
+        (folder / made).unlink(missing_ok=True)
+    objects = [json.loads(line) for line in ffcomp(*words.split(), "--json", cwd=folder).stdout.splitlines()]
+    assert printed.exit_code == 0, printed.output
+    assert {each["schema"].partition("/")[2] for each in objects} == {"1"}
+    assert list(Answer(**objects[0]["answer"]).lines()) == printed.stdout.splitlines()
+    assert objects[0]["answer"]["headline"] and len(printed.stdout.splitlines()) > 1

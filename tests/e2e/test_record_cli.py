@@ -45,21 +45,6 @@ def test_captures_of_the_virtual_printer_are_joined(flavor: str, tmp_path: Path)
     assert done.exit_code == 0 and "4 of 4 executions joined" in done.output, done.output
 
 
-def test_captures_need_the_plan_of_their_gcode(tmp_path: Path) -> None:
-    target, plan = moves(tmp_path, "--repeats", "1")
-    call = ("simulate", target, "-m", "ender-3", "--as-captures", tmp_path / "c")
-    assert ffcomp(*call).exit_code == 2
-    assert ffcomp(*call, "--plan", plan, "--flavor", "marlin").exit_code == 2
-    empty = tmp_path / "empty.csv"
-    empty.touch()
-    refused = ffcomp("record", "join", empty, "--plan", plan, "-m", "ender-3", "-o", tmp_path / "runs", "-q")
-    assert refused.exit_code == 5 and refused.output.count("The file is empty") == 1, "each reason is stated once"
-    lines = target.read_text().splitlines(keepends=True)
-    target.write_text("".join(line for line in lines if not line.startswith("G1 X1")))
-    done = ffcomp(*call, "--plan", plan)
-    assert done.exit_code == 2 and "give the file written with it" in done.output
-
-
 def test_a_damaged_history_stays_as_it_is(tmp_path: Path) -> None:
     assert ffcomp("record", "check", "-m", "ender-3", "-o", tmp_path / "check.gcode").exit_code == 0
     history = tmp_path / "checks.jsonl"

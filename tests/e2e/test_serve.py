@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import gzip
 import http.client
-import io
 import json
 import os
 import signal
 import sys
 import time
-import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -22,14 +19,11 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from ffcomp.cli.app import app
 from tests.support import stand_in
-from tests.support.cli import CliRunner
 from tests.support.server import MARK, client, command, started, uploaded, wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 WIGGLE = (EXAMPLES / "wiggle.gcode").read_bytes()
-MEGABYTE = 1 << 20
 
 
 @pytest.fixture
@@ -84,29 +78,6 @@ def test_moves_are_planned_and_their_captures_find_the_plan(page: Any) -> None:
 # -- visitors who mean no good --
 
 
-def bomb(name: str) -> bytes:
-    """Less than a megabyte that unpacks to 200."""
-    packed = io.BytesIO()
-    if name.endswith(".gz"):
-        with gzip.GzipFile(fileobj=packed, mode="wb", compresslevel=1) as file:
-            file.writelines([b";" * MEGABYTE] * 200)
-    else:
-        archive = zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
-        with archive, archive.open("Metadata/plate_1.gcode", "w") as member:
-            member.writelines([b";" * MEGABYTE] * 200)
-    return packed.getvalue()
-
-
-@pytest.mark.parametrize("name", ["a.gcode.3mf", "a.gcode.gz"])
-def test_an_archive_that_would_fill_the_disk_is_refused_in_a_sentence(name: str, page: Any) -> None:
-    content = bomb(name)
-    assert len(content) < 4 * MEGABYTE
-    job = wait_for(page, started(page, "compensate", [uploaded(page, name, content)], machine="kossel"))
-    assert job["state"] == "failed" and "unpack to more than" in job["error"]
-    held = sum(path.stat().st_size for path in page.server.settings.folder.rglob("*") if path.is_file())
-    assert held < 3 * len(content) + MEGABYTE
-
-
 @pytest.mark.parametrize(
     "path",
     [
@@ -145,29 +116,6 @@ def test_a_configuration_reads_no_other_file_of_the_server(name: str, line: str,
     told = json.dumps(job) + page.get(f"/api/jobs/{job['id']}/log").text
     assert job["state"] == "done" and "hush" not in told, told
     assert "nly this file is read" in told
-
-
-def test_what_is_asked_wrongly_is_a_sentence(page: Any) -> None:
-    one = uploaded(page, "a.gcode", WIGGLE)
-    asked: list[tuple[dict[str, Any], str]] = [
-        ({"kind": "compensate", "files": ["../../etc/passwd"], "machine": "kossel"}, "no such file"),
-        ({"kind": "compensate", "files": [one], "machine": "/etc/passwd"}, "no machine"),
-        ({"kind": "compensate", "files": [one, one], "machine": "kossel"}, "one file at a time"),
-        ({"kind": "compensate", "files": [], "machine": "kossel"}, "needs a file"),
-        ({"kind": "compensate", "files": "all", "machine": "kossel"}, "must be a list"),
-        ({"kind": "diagnose", "files": [one, one], "machine": "kossel"}, "same name"),
-        ({"kind": "diagnose", "files": [one], "machine": "kossel", "plan": "../x"}, "no such job"),
-        ({"kind": "fit", "files": [uploaded(page, "p.json", b"{}")], "machine": "kossel"}, "A plan is not dropped"),
-        ({"kind": "sh", "files": []}, "no kind of job"),
-        ({"kind": "compensate", "files": [one], "machine": "kossel", "options": {"jobs": 99}}, "no option"),
-    ]
-    for body, sentence in asked:
-        answer = page.post("/api/jobs", json=body)
-        assert answer.status_code in (400, 404) and sentence in answer.json()["error"], answer.text
-    assert page.post("/api/jobs", content=b"[" * 70_000).status_code == 413
-    assert page.post("/api/jobs", content=b"[]").status_code == 400
-    assert page.post("/api/jobs/0123456789abcdef/cancel", json={}).status_code == 404
-    assert page.get("/api/printer/files").status_code == 404
 
 
 def resident_mb(status: Path) -> float:
@@ -222,14 +170,6 @@ def test_after_installing_it_gets_ready_until_somebody_starts_something(
         id_ = started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel")
         wait_for(page, id_, "running")
         assert [each["id"] for each in page.get("/api/state").json()["jobs"]] == [id_]
-
-
-def test_a_port_that_is_taken_and_halves_of_a_pair_are_sentences(page: Any, tmp_path: Path) -> None:
-    port = str(urlsplit(str(page.base_url)).port)
-    done = CliRunner().invoke(app, ["serve", "--port", port, "--folder", str(tmp_path / "other")])
-    assert done.exit_code == 2 and f"port {port}" in done.output and "--port N" in done.output
-    assert CliRunner().invoke(app, ["serve", "--key", "a.pem"]).exit_code == 2
-    assert CliRunner().invoke(app, ["serve", "--frame", "javascript:alert(1)"]).exit_code == 2
 
 
 def test_reached_from_elsewhere_it_prints_a_token_that_opens_it(tmp_path: Path) -> None:

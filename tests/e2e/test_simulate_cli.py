@@ -143,20 +143,6 @@ def test_effects_of_straight_machines_are_compensated(machine: str, effect: str,
     assert errors[1] < 1.0 < 0.2 * errors[0]
 
 
-def test_an_interruption_leaves_nothing_half_written(square: Path, tmp_path: Path) -> None:
-    target = tmp_path / "run.csv"
-    target.write_text("what was there", encoding="utf-8")
-    command, _ = read_command(square, MACHINE)
-
-    def stop(done_s: float) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        simulate_command(command, MACHINE, MACHINE, Request(), target=target, progress=stop)
-    assert target.read_text(encoding="utf-8") == "what was there"
-    assert sorted(tmp_path.iterdir()) == sorted([target, square])
-
-
 # ---- what goes wrong -----------------------------------------------------------------------------
 
 

@@ -46,9 +46,3 @@ def test_a_compensated_print_keeps_what_viewers_read(folder: Path) -> None:
     for begins in ((b";LAYER_CHANGE",), (b";Z:", b";HEIGHT:", b";WIDTH:"), (b";TYPE:",), (b"EXCLUDE_OBJECT",)):
         kept = comments(sliced, *begins)
         assert kept and comments(done, *begins) == kept, begins
-
-
-def test_nothing_in_a_preview_heats_homes_or_waits(folder: Path) -> None:
-    commands = {line.split()[0] for line in (folder / "error.gcode").read_bytes().splitlines() if line[:1] not in b";"}
-    assert commands == {b"G1", b"G21", b"G90", b"M83"}
-    assert b"NOT FOR PRINTING" in (folder / "error.gcode").read_bytes()[:300]

@@ -20,8 +20,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import DIALECTS
-from gcode.emit import MoveWriter
-from gcode.program import ModalState, Moves
+from gcode.program import Moves
 from gcode.reader import read_program
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
@@ -341,25 +340,6 @@ def test_no_print_with_unknown_places_is_harmed(seeds: range) -> None:
 def test_what_once_was_harmed_is_not(seed: int) -> None:
     """G92 E between unequal wipes (89), a short one (2327), before filament in the last knot (5818); inches (3485)."""
     assert Case.of(seed).violations() == []
-
-
-def test_what_is_read_can_be_written_and_read_again() -> None:
-    """The moves that were read, written plainly in millimetres, are the same moves."""
-    writer = MoveWriter()
-    for seed in range(400):
-        moves = read_program(random_print(seed)).moves
-        x, y, z, e = moves.start[0].tolist()
-        head = b"G21\nG90\nM82\nG92 E%.5f\nG1 X%.6f Y%.6f Z%.6f F6000\n" % (e, x, y, z)
-        writer.reset(ModalState(), (x, y, z), e)
-        goes_on = (moves.start[1:] == moves.end[:-1]).all(axis=1)  # homing leaves a gap, which no move fills
-        last = int(np.argmin(np.append(goes_on, False))) + 1
-        rows = np.column_stack([moves.end, moves.speed])
-        again = read_program(head + b"".join(writer.move(*row) for row in rows[:last].tolist())).moves
-        path, filament = travelled(moves, last)
-        same_path, same_filament = travelled(again, len(again))
-        assert filament == pytest.approx(same_filament, abs=1e-5), f"random_print({seed})"
-        assert path == pytest.approx(same_path, abs=2e-4 * last), f"random_print({seed})"
-        np.testing.assert_allclose(again.end[-1], moves.end[last - 1], atol=6e-5, err_msg=f"random_print({seed})")
 
 
 def travelled(moves: Moves, last: int) -> tuple[float, float]:

@@ -169,16 +169,6 @@ def test_each_way_to_know_my_machine_takes_six_clicks_at_most(
     assert (user_folder() / f"{name}.updates.jsonl").read_text() == "{}\n"  # the history goes with the file
 
 
-def test_too_large_a_file_is_refused_before_it_is_sent(
-    quick: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with client(tmp_path, monkeypatch, largest_bytes=1 << 20) as server, visit(browser, address(server)) as seen:
-        attached(seen, READY)
-        drop(seen, "prints", ("a.gcode", b"G1 X1\n" * 200_000))
-        assert "Larger than 1.0 MB" in seen.page.inner_text(".files[data-for=prints]")
-        assert seen.page.is_disabled("[data-job=compensate]")
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_words_are_readable_and_every_field_has_a_name(scheme: str, quick: None, browser: Any, server: Any) -> None:
     wait_for(server, started(server, "compensate", [uploaded(server, "a.gcode", b"G28")], machine="kossel"))

@@ -15,7 +15,7 @@ from ffcomp.simulation.command import Command
 from ffcomp.simulation.command_files import gcode_command, smoothed, staircase
 from ffcomp.simulation.playback import ROW_S, play
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
-from ffcomp.steps.archive import MotorSteps, read_steps
+from ffcomp.steps.archive import MotorSteps
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
@@ -135,38 +135,6 @@ def test_a_print_as_steps_moves_the_nozzle_as_its_gcode_does(
     assert stepped.contour_rms_um == pytest.approx(smooth.contour_rms_um, rel=0.05)
     assert stepped.delay_s == pytest.approx(smooth.delay_s, abs=2e-5)
     assert not warnings
-
-
-def compressed(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Every step a row of its own, but where four in a row fit one exactly."""
-    found = {key: value for key, value in arrays.items() if "tick" not in key and "direction" not in key}
-    for motor in "abc":
-        tick, way = arrays[f"{motor}_tick"], arrays[f"{motor}_direction"]
-        gaps = np.diff(tick, prepend=0)
-        rows, k = [], 0
-        while k < len(tick):
-            g, bent = gaps[k : k + 4], np.diff(gaps[k : k + 4])
-            same = len(g) == 4 and np.all(bent == bent[0]) and len(set(way[k : k + 4].tolist())) == 1
-            rows.append((g[0], 4 if same else 1, bent[0] if same else 0, way[k]))
-            k += rows[-1][1]
-        columns = np.array(rows, dtype=np.int64).T
-        names = ("interval", "count", "add", "direction")
-        found |= {f"{motor}_{name}": column for name, column in zip(names, columns, strict=True)}
-    return found
-
-
-def test_compressed_rows_are_the_same_steps(arrays: dict[str, Any], tmp_path: Path) -> None:
-    even = {**arrays}
-    for motor in "abc":  # a stretch of evenly growing gaps, so that rows of several steps come up
-        tick = arrays[f"{motor}_tick"].copy()
-        tick[:40] = tick[40] - np.cumsum(np.arange(50, 90) * 100)[::-1]
-        even[f"{motor}_tick"] = tick
-    short = compressed(even)
-    assert all(4 in short[f"{motor}_count"] for motor in "abc")
-    full, again = (read_steps(saved(tmp_path, each)) for each in (even, short))
-    for motor in "abc":
-        np.testing.assert_array_equal(full[motor].time_s, again[motor].time_s)
-        np.testing.assert_array_equal(full[motor].level_mm, again[motor].level_mm)
 
 
 # ---- the real host's steps -----------------------------------------------------------------------

@@ -134,20 +134,6 @@ def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
     assert len(took[1]) / after <= 300
 
 
-def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
-    machine = load_machine(made(tmp_path, machine_text("cartesian", rigid=True)))
-    planned = plan_program(read_program(print_text(2), flavor="klipper"), machine)
-    compensated = ours.compensated(planned, InverseModel(machine, settings_for(machine)), "klipper")
-    segments = ours.segments(compensated, machine)
-    played = motion_of(segments.trajectory, segments.clock(segments.trajectory.start_t))
-    t = np.arange(played.begin_t, played.end_t, 0.01)
-    wanted = planned.trajectory.position(played.clock.plan_time(t))[:, :3]
-    error = contour_error(*path_corners(planned.trajectory), played.clock.plan_time(t), played.position(t))
-    assert np.sqrt(np.mean(error**2)) < 1e-3
-    # Z by itself plans at the lead screw's limit: the host leaves it no room to keep time, and it comes a little late
-    assert np.abs(wanted - played.position(t))[:, :2].max() < 0.05
-
-
 def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
     """At 45 degrees one motor does all, √2 times as fast as the nozzle."""
     machine = load_machine(made(tmp_path, machine_text(limits="carriage_velocity_mm_per_s = 150.0")))

@@ -71,22 +71,6 @@ def test_no_line_of_ours_states_a_place_after_homing(tmp_path: Path, homing: str
     assert "Z" not in "".join(line for line in lines[travel + 1 :] if line.startswith("G1"))
 
 
-def test_waits_are_written_and_counted() -> None:
-    machine = load_machine("voron-300")
-    text = ";TIME:10\n" + shifted(HEAD + SQUARE + "PAUSE\n" + SQUARE)
-    job = Job(text.encode(), "print.gcode", machine, Options(predict=False, flavor="klipper")).lines()
-    lines = b"".join(job).decode().splitlines()
-    waits = [float(line.split()[1][1:]) / 1e3 for line in lines if re.fullmatch(r"G4 P\d+ ; ffcomp", line)]
-    statistics = job.value.statistics
-    assert len(waits) == statistics.settlings == 2
-    assert sum(waits) == pytest.approx(statistics.settling_s) and 0.1 < waits[0] < 0.5
-    assert f"G4 P{1e3 * waits[1]:.0f} ; ffcomp" in lines[lines.index("PAUSE") :]
-    (told,) = (float(line.partition(":")[2]) for line in lines if line.startswith(";TIME:"))
-    assert told == pytest.approx(statistics.print_time_s, abs=0.5)
-    longer_s = statistics.print_time_s - statistics.original_print_time_s
-    assert sum(waits) < longer_s < sum(waits) + 0.2
-
-
 ELSEWHERE = """G28
 G90
 M83

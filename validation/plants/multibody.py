@@ -7,10 +7,8 @@ the motor does is a force k u + c u̇ on the carriage, u and u̇ from the drive'
 
     arms "lumped"   each rod's mass sits in two points, half at each end
     arms "uniform"  each rod is a thin uniform rod
-    arms "tubes"    each rod is a thin uniform rod with heavy ends, 0.4 of its mass
     effector "sliding"        translates only, one rod a tower
     effector "parallelograms" free in all six, held by two rods a tower; its centre of mass is where the file says
-    rod_n_per_m     each rod gives along its length, joints included: then parallelograms let the effector tilt
 
 A model is built at a place: in its reference pose the printer stands there and all springs are at ease. m, s, kg.
 
@@ -49,24 +47,19 @@ LIGHT = "1e-4 1e-4 1e-4"  # kg m², of bodies that never turn
 NUDGE_M, NUDGE_M_PER_S = 1e-6, 1e-3
 FASTEST_MODE_PER_S = 4000.0  # between the machine's poles and those of the constraints, 1/T
 SETTLED_M = 1e-12
-GIVE, TIP_SHARE, ROD_LOSS_S = "give_", 0.25, 2e-5  # of rods that give: joints' name, tip's mass, damping over stiffness
 
-Arms = Literal["lumped", "uniform", "tubes"]
-AT_ENDS: Mapping[Arms, float] = {"lumped": 1.0, "uniform": 0.0, "tubes": 0.4}  # of a rod's mass
+Arms = Literal["lumped", "uniform"]
+AT_ENDS: Mapping[Arms, float] = {"lumped": 1.0, "uniform": 0.0}  # of a rod's mass
 Effector = Literal["sliding", "parallelograms"]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is built, and how exactly it is computed."""
+    """What is built."""
 
     arms: Arms = "lumped"
     effector: Effector = "sliding"
     gravity: bool = False
-    step_s: float = STEP_S
-    impedance: float = IMPEDANCE
-    damped: bool = True
-    rod_n_per_m: float = np.inf  # of a tower's one rod where the effector slides, of each of two where it does not
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,21 +107,19 @@ def build(machine: Machine, place_mm: FloatArray, choice: Choice = Choice()) -> 
 
 def _document(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[str]:
     gravity = GRAVITY_M_PER_S2 if choice.gravity else 0.0
-    solref = f"{TIGHT_STEPS * choice.step_s!r} 1"
-    solimp = f"{choice.impedance} {choice.impedance} 1"
+    solref = f"{TIGHT_STEPS * STEP_S!r} 1"
+    solimp = f"{IMPEDANCE} {IMPEDANCE} 1"
     yield "<mujoco><compiler angle='radian' autolimits='false'/>"
-    yield f"<option timestep='{choice.step_s!r}' gravity='0 0 {-gravity}' integrator='RK4' solver='Newton'"
+    yield f"<option timestep='{STEP_S!r}' gravity='0 0 {-gravity}' integrator='RK4' solver='Newton'"
     yield "tolerance='1e-15'><flag contact='disable' energy='enable'/></option>"
     yield f"<default><equality solref='{solref}' solimp='{solimp}'/></default><worldbody>"
     joints = list(_joints(machine, home, home_q, choice))
-    for tower, height in zip("ABC", home_q, strict=True):
-        yield from _carriage(machine, tower, [j for j in joints if j.tower == tower], height, choice)
+    for tower in "ABC":
+        yield from _carriage(machine, tower, [j for j in joints if j.tower == tower], choice)
     yield from _effector(machine, home, joints, choice)
     yield "</worldbody><equality>"
     yield from (f"<connect site1='low_{j.name}' site2='seat_{j.name}'/>" for j in joints)
     yield "</equality>"
-    if np.isfinite(choice.rod_n_per_m):
-        yield from _gives(joints, choice)
     yield "<actuator>"
     yield from (f"<motor joint='q_{tower}'/>" for tower in "ABC")
     yield "</actuator></mujoco>"
@@ -166,10 +157,10 @@ def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choi
             )
 
 
-def _carriage(machine: Machine, tower: str, rods: list[Rod], height: float, choice: Choice) -> Iterator[str]:
+def _carriage(machine: Machine, tower: str, rods: list[Rod], choice: Choice) -> Iterator[str]:
     carriage = delta_vibration(machine).carriage
     damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
-    axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping, choice)
+    axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping)
     middle = np.mean([rod.upper_m for rod in rods], axis=0)
     yield f"<body name='carriage_{tower}' pos='{_row(middle)}'>{axis}"
     yield f"<inertial pos='0 0 0' mass='{carriage.mass_kg}' diaginertia='{LIGHT}'/>"
@@ -178,37 +169,16 @@ def _carriage(machine: Machine, tower: str, rods: list[Rod], height: float, choi
     yield "</body>"
 
 
-def _gives(rods: list[Rod], choice: Choice) -> Iterator[str]:
-    """The springs along the rods."""
-    damping = choice.rod_n_per_m * ROD_LOSS_S
-    yield "<tendon>"
-    for rod in rods:
-        yield f"<fixed name='t_{rod.name}' stiffness='{choice.rod_n_per_m}' damping='{damping}'"
-        yield f"springlength='0'><joint joint='{GIVE}{rod.name}' coef='1'/></fixed>"
-    yield "</tendon>"
-
-
 def _rod(rod: Rod, carriage: FloatArray, choice: Choice) -> Iterator[str]:
     """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, m L²/4 of what is at the ends."""
     along = rod.lower_m - rod.upper_m
     length = float(np.linalg.norm(along))
     at_ends = AT_ENDS[choice.arms]
     across = rod.mass_kg * length**2 * (at_ends / 4 + (1 - at_ends) / 12)
-    # A rod that gives has part of its mass in a tip of its own: a constraint gives the more, the lighter what it holds.
-    tip = 0.0 if np.isinf(choice.rod_n_per_m) else TIP_SHARE * rod.mass_kg
-    mass = rod.mass_kg - tip
-    middle = length / 2 * (mass - tip) / mass
-    across -= tip * length**2 / 4 + mass * (length / 2 - middle) ** 2
     inertia = _row(np.array([across, across, rod.mass_kg * ROD_RADIUS_M**2 / 2]))
     yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper_m - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
-    yield f"<inertial pos='0 0 {middle!r}' mass='{mass}' diaginertia='{inertia}'/>"
-    site = f"<site name='low_{rod.name}' pos='0 0 {{}}'/></body>"
-    if np.isinf(choice.rod_n_per_m):
-        yield site.format(repr(length))
-    else:
-        yield f"<body name='tip_{rod.name}' pos='0 0 {length!r}'>"
-        yield f"<joint name='{GIVE}{rod.name}' type='slide' axis='0 0 1'/>"
-        yield f"<inertial pos='0 0 0' mass='{tip}' diaginertia='1e-9 1e-9 1e-9'/>{site.format(0)}</body>"
+    yield f"<inertial pos='0 0 {length / 2!r}' mass='{rod.mass_kg}' diaginertia='{inertia}'/>"
+    yield f"<site name='low_{rod.name}' pos='0 0 {length!r}'/></body>"
 
 
 def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choice) -> Iterator[str]:
@@ -221,19 +191,18 @@ def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choic
     if choice.effector == "parallelograms":
         yield "<freejoint/>"
     else:
-        yield from (_sprung(axis, axis, 0.0, 0.0, choice) for axis in "xyz")
+        yield from (_sprung(axis, axis, 0.0, 0.0) for axis in "xyz")
     yield f"<inertial pos='{centre}' mass='{effector.nozzle_mass_kg}' diaginertia='{inertia}'/>"
     yield from (f"<site name='seat_{rod.name}' pos='{_row(rod.seat_m)}'/>" for rod in rods)
     yield f"<body name='extruder' pos='{centre}'>"
     mount = zip("xyz", effector.extruder_stiffness_n_per_m, effector.extruder_damping_n_s_per_m, strict=True)
-    yield from (_sprung(axis, f"eta_{axis}", k, b, choice) for axis, k, b in mount)
+    yield from (_sprung(axis, f"eta_{axis}", k, b) for axis, k, b in mount)
     yield f"<inertial pos='0 0 0' mass='{effector.extruder_mass_kg}' diaginertia='{LIGHT}'/></body></body>"
 
 
-def _sprung(axis: str, name: str, stiffness: float, damping: float, choice: Choice) -> str:
+def _sprung(axis: str, name: str, stiffness: float, damping: float) -> str:
     direction = _row(np.eye(3)["xyz".index(axis)])
-    damper = damping if choice.damped else 0.0
-    return f"<joint name='{name}' type='slide' axis='{direction}' stiffness='{stiffness}' damping='{damper}'/>"
+    return f"<joint name='{name}' type='slide' axis='{direction}' stiffness='{stiffness}' damping='{damping}'/>"
 
 
 def _row(values: FloatArray) -> str:

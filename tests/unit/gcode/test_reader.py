@@ -154,22 +154,6 @@ def test_accel_to_decel_is_for_older_klippers_alone() -> None:
 # -- mistakes --
 
 
-@pytest.mark.parametrize(
-    ("line", "rule"),
-    [
-        ("G1 X1 A3", "a move has the words"),
-        ("G1 X1 M3", "only modes"),
-        ("G2 X1 I0 J0", "radius must be positive"),
-        ("M220 S0", "above zero"),
-        ("M204 S0", "above zero"),
-    ],
-)
-def test_mistakes_name_file_and_line(line: str, rule: str) -> None:
-    with pytest.raises(GcodeError, match=rule) as caught:
-        read_program(f"; first\n{line}\n".encode(), "part.gcode", start=HOME)
-    assert str(caught.value).startswith("part.gcode:2: ")
-
-
 # -- properties --
 
 numbers = st.decimals(-200, 200, places=3).map(str)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ffcomp.firmware.program import known_to_the_firmware, plan_program, planner_of
+from ffcomp.firmware.program import plan_program
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from gcode.embedded import OURS, TIME_WAS, WAS, original
@@ -206,26 +205,3 @@ def test_a_wipe_costs_no_time() -> None:
     moving = np.abs(program.moves.end[:, :3] - program.moves.start[:, :3]).max(axis=1) > 0
     pulled = (program.moves.end[:, 3] - program.moves.start[:, 3])[falls & moving]
     assert float(pulled.sum()) == pytest.approx(-8.0, abs=0.05)
-
-
-@pytest.mark.parametrize("flavor", ["klipper", "marlin"])
-def test_no_second_has_more_than_250_segments(flavor: str) -> None:
-    """By the firmware's plan: with lines that cut segments, retractions, and limits of the file that hold on."""
-    hop = b"G1 E-.04 F3000\nG1 Z0.8 F9000\nG1 Z0.3\nG1 E.04 F3000\n"
-    chords = b"".join(
-        b"G1 X%.3f Y%.3f E.02 F6000\n" % (10 - 6 * cos(k / 12) - 2 * cos(k / 2), 10 - 6 * sin(k / 12) + 2 * sin(k / 2))
-        + (b"M106 S%d\n" % (k % 255) if k % 3 else b"")
-        + (hop if k % 50 == 49 else b"")
-        for k in range(300)
-    )
-    program = read_program(
-        compensated(START + b"M201 Z2000 E3000\nM203 Z30\nM205 Z2 E4\n" + chords, flavor=flavor),
-        flavor=flavor,
-        **known_to_the_firmware(machine()),
-    )
-    stops, waits = stops_and_waits(program)
-    moves, plan = program.moves, planner_of(program, machine())(program.moves, stop_before=stops, wait_before=waits)
-    ours = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1) & (np.diff(moves.line, prepend=-1) > 0)
-    begin_t = plan.start_t[ours]
-    fullest = (np.searchsorted(begin_t, begin_t + 1.0) - np.arange(len(begin_t))).max()
-    assert 230 < fullest <= 250

@@ -67,34 +67,6 @@ def test_a_shaper_is_named_with_its_type_and_frequency(kind: str, frequency_hz: 
     assert shaper.shapers == (ShaperOn(kind, pytest.approx(frequency_hz, abs=1.0)),)
 
 
-@pytest.mark.parametrize(
-    ("on_x", "on_y", "said"),
-    [
-        (
-            ("3hump_ei", 75.0),
-            None,
-            "x moved as 3HUMP_EI at about 75 Hz makes it move (it",
-        ),
-        (
-            ("mzv", 58.0),
-            ("zv", 41.0),
-            "x moved as MZV at about 58 Hz makes it move, and y moved as ZV at about 41 Hz",
-        ),
-    ],
-)
-def test_shapers_of_one_axis_are_named_with_it(
-    on_x: tuple[str, float], on_y: tuple[str, float] | None, said: str
-) -> None:
-    """Firmware has a shaper for each axis, and each of its own frequency."""
-    true = motion()
-    measured = true.copy()
-    for i, own in enumerate((on_x, on_y)):
-        measured[:, i] = true[:, i] if own is None else shaped(true[:, i : i + 1], *own)[:, 0]
-    estimation = problem(measured)
-    found = shaper_on(estimation, [true], left(estimation, [true]))
-    assert found is not None and said in found.sentence()
-
-
 def test_a_clipped_sensor_is_named_with_its_files_and_a_smaller_motion_is_none() -> None:
     true = [motion(), 0.2 * motion(2)]
     clipped = true[0].copy()

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import Spectrum
 from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.resonance_tests import BeltTest
@@ -65,10 +63,3 @@ def test_a_soft_tower_is_named_and_drawn() -> None:
     axes = belts_figure(found, "mine").axes[0]
     assert axes.get_xlabel() == "frequency, Hz" and len(axes.get_legend().get_texts()) == 4
     assert "tower B (axis=" in axes.get_legend().get_texts()[1].get_text()
-
-
-def test_a_missing_direction_is_asked_for() -> None:
-    with pytest.raises(MeasurementError, match=r"no test along belt 1,-1.*AXIS=1,1 and AXIS=1,-1"):
-        compare_belts(COREXY, [test_of(BELTS, [1, 1], 1.0, BELTS[0], 0)])
-    with pytest.raises(MeasurementError, match="test AXIS=X and AXIS=Y"):
-        compare_belts(load_machine("ender-3"), [test_of(BELTS, [1, 1], 1.0, BELTS[0], 0)])

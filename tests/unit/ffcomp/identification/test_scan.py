@@ -216,14 +216,6 @@ def commanded(experiment: Any, step_s: float) -> NDArray[np.float64]:
     return np.asarray(experiment.motion.nozzle(times)[:, :2])
 
 
-def test_a_page_drawn_with_a_shaper_on_is_refused(machine: Machine, plan: Plan, tmp_path: Path) -> None:
-    drawn = draw(plan, commanded, Bead(), seed=1)
-    save_plan(plan, tmp_path / "page.json")
-    Image.fromarray(photograph(drawn, COARSE, seed=2)).save(tmp_path / "scan.jpg")
-    with pytest.raises(MeasurementError, match="shaper"):
-        fitted(machine, tmp_path, "scan.jpg")
-
-
 X_HZ, Y_HZ = (PRINTER.axis_modes(axis)[0][0] for axis in range(2))
 CONDITIONS: dict[str, tuple[Conditions, str]] = {
     "a little slower": (Conditions(speed_factor=0.9), r"drawn at (8[6-9]|9[0-4]) % .* of its speed"),

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from ffcomp.diagnosis.observations import carriages_of
 from ffcomp.errors import MeasurementError
@@ -136,20 +134,3 @@ def test_real_runs_in_another_unit_are_found_out(
     with pytest.raises(MeasurementError) as error:  # of the nozzle too small is told only with the nozzle's path
         carriages_of(machine, read_recording(path))
     assert f"in {'g' if unit < 1 else 'mm/s²'}, not in m/s²" in str(error.value)
-
-
-GOOD = "t_s,cmd_A_mm,cmd_B_mm,cmd_C_mm,acc_A_m_per_s2\n" + "".join(
-    f"{k / 1000:.4f},{k % 7},{k % 5},{k % 3},{(k * k) % 11}\n" for k in range(12)
-)
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_a_broken_file_is_an_error_in_sentences(tmp_path: Path, data: st.DataObject) -> None:
-    text = list(GOOD)
-    for _ in range(data.draw(st.integers(1, 6))):
-        at = data.draw(st.integers(0, len(text) - 1))
-        text[at] = data.draw(st.sampled_from(["", ",", "\n", "-", "e", "nan", "#", " ", ";", "\r", "9", "\x0b"]))
-    path = tmp_path / "broken.csv"
-    path.write_text("".join(text), encoding="utf-8", newline="")
-    complaint(path)

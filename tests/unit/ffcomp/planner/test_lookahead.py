@@ -15,7 +15,6 @@ from scipy.optimize import linprog
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
-from gcode.errors import GcodeError
 from gcode.program import Moves
 from gcode.reader import read_program
 from tests.support.programs import moves_through, random_program
@@ -171,19 +170,3 @@ def test_every_move_arrives(planned: tuple[Moves, Trajectory]) -> None:
 
 
 # What cannot be planned
-
-
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        ("speed", 0.0, "2: The move has the speed 0.0 mm/s; it must be above zero."),
-        ("end", np.nan, "2: The move travels nan mm; a distance is finite."),
-    ],
-)
-def test_impossible_moves_are_named_with_their_line(column: str, value: float, message: str) -> None:
-    moves = moves_through([[0, 0], [1, 0], [2, 0]])
-    values = np.array(getattr(moves, column))
-    values[1] = value
-    with pytest.raises(GcodeError) as failure:
-        plan(dataclasses.replace(moves, **{column: values}))
-    assert str(failure.value) == message

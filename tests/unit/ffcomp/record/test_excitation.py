@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ffcomp.cli.app import app
 from ffcomp.errors import LimitsError
 from ffcomp.record.excitation import (
     AXES,
@@ -21,14 +18,13 @@ from ffcomp.record.excitation import (
 )
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import polyline_gain
-from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan
+from ffcomp.record.plan import Excitation, Experiment, Plan
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import ComplexArray, FloatArray, constant
 from models.file import load_machine
 from models.machine import Machine
 from models.vibration.state_space import discretise
-from tests.support.cli import CliRunner
 from validation import kalico
 
 SHORT = ExcitationRequest(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
@@ -177,30 +173,6 @@ def test_a_file_moves_nothing_but_the_nozzle_and_puts_limits_back(flavor: str) -
 
 
 # The command line
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    common = ["record", "plan", "--for", "identify", "-m", "mp-delta-pro", "--period-s", "2", "--periods", "1"]
-    done = CliRunner().invoke(app, [*common, *arguments])
-    return done.exit_code, done.stdout, done.stderr
-
-
-def test_the_verb_writes_both_files_and_says_what_to_do_next(tmp_path: Path) -> None:
-    target = tmp_path / "excite.gcode"
-    code, out, _ = run("-o", str(target), "--at", "0,0", "--at", "line-of-action", "--highest-hz", "100", "--json")
-    assert code == 0
-    result = json.loads(out)
-    assert result["schema"] == "ffcomp-record-plan/1"
-    assert {tuple(each["position_mm"][:2]) for each in result["experiments"]} == {
-        tuple(place) for place in result["recommended_places_mm"]
-    }
-    plan = load_plan(result["plan"])
-    assert [each["name"] for each in result["experiments"]] == [each.name for each in plan.experiments]
-    assert [each["direction"] for each in result["experiments"]] == 4 * ["A", "B", "C"]
-    assert result["captures"] == [f"*{each.name}-1.csv" for each in plan.experiments]
-    total = sum(len(each.motion.speed) for each in plan.experiments)
-    assert sum(each["moves"] for each in result["experiments"]) == total
-    assert target.read_bytes().count(b"\nG1 ") == total + 2 * 12 + 1
 
 
 # The real host

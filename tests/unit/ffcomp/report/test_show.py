@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.cli.show import open_picture
 from ffcomp.report.show import show_figure
 from ffcomp.simulation.forecast import Forecast
 from ffcomp.simulation.preview import Curve, Preview
@@ -36,15 +35,3 @@ def test_it_shows_the_worst_of_the_outer_walls_from_near() -> None:
     assert close.get_title("left") == "Largest error on an outer wall:\nX 40.0, Y 0.0, Z 0.20 mm"
     low, high = close.get_xlim()
     assert high - low == pytest.approx(2 * 8 * 0.1, rel=0.01)  # 0.1 mm off: 1.6 mm are shown, not the whole line
-
-
-def test_the_picture_is_opened_or_it_is_said_where_it_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr("ffcomp.cli.show.opened", lambda url: not opened.append(url))
-    open_picture("out.png")
-    assert opened == ["out.png"] and capsys.readouterr().err == ""
-    monkeypatch.setattr("ffcomp.cli.show.opened", lambda url: False)
-    open_picture("out.png")
-    assert "The picture is out.png" in capsys.readouterr().err

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,8 +10,6 @@ from numpy.typing import NDArray
 
 from models.arrays import constant
 from models.effects.catalogue import effective_machine, with_effect
-from models.errors import MachineFileError
-from models.file import load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.printer.printer import simulate_printer
@@ -122,56 +117,6 @@ def test_the_virtual_printer_plays_the_same_modes() -> None:
         g = closed_form(axis, np.array([f]))[0]
         assert motion.nozzle_mm[late, column] == pytest.approx((g * np.exp(2j * np.pi * f * t[late])).imag, abs=2e-4)
     assert motion.nozzle_mm[:, 2] == pytest.approx(5.0, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("table", "rule"),
-    [
-        ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1, 0.1]", "axes.x.share is missing"),
-        ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1]\nshare = [0.5, 0.5]", "as many numbers each"),
-        ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1, 0.1]\nshare = [0.5, 0.4]", "must sum to 1"),
-        (
-            "frequency_hz = 40.0\ndamping_ratio = [0.1]",
-            "axes.x.frequency_hz = 40.0 must be a list of one to eight",
-        ),
-        ("frequency_hz = [40.0]\ndamping_ratio = [0.1]\nfrequenzy = 3", "frequenzy is not a key"),
-        ("frequency_hz = [40.0]\ndamping_ratio = [1.1]", "axes.x.damping_ratio[0] = 1.1 must be less than 1"),
-        ("frequency_hz = [9.0, 8.0]\ndamping_ratio = [0.1, 0.1]\nshare = [12.0, -11.0]", "12.0 must be at most 10"),
-        ("[effects.joint_friction]\nforce_n_per_kg = 1.0", "they have no arms"),
-        ("[effects.belt_hardening]\ncubic_n_per_m3 = 1e9", "or give cubic_n_per_m3_per_kg"),
-        (
-            "frequency_hz = [40.0]\ndamping_ratio = [0.1]\nmass_kg = 0.4\n[effects.belt_hardening]\n"
-            "cubic_n_per_m3_per_kg = 1e9",
-            "use cubic_n_per_m3, because the axes state their mass_kg",
-        ),
-        (
-            "frequency_hz = [40.0]\ndamping_ratio = [0.1]\nmass_kg = 0.4\n[axes.y]\nfrequency_hz = [40.0]\n"
-            "damping_ratio = [0.1]",
-            "axes.y.mass_kg is missing",
-        ),
-        (
-            "frequency_hz = [40.0, 80.0]\ndamping_ratio = [0.1, 0.1]\nshare = [1.3, -0.3]\nmount_frequency_hz = 90.0",
-            "must lie between the frequencies of two modes",
-        ),
-        ("[kinematics2]\na = 1", "kinematics2 is not a key"),
-    ],
-)
-def test_mistakes_in_the_file_are_sentences(tmp_path: Path, table: str, rule: str) -> None:
-    head = """format = "ffcomp-machine/1"
-name = "box"
-[kinematics]
-type = "corexy"
-x_range_mm = [0.0, 200.0]
-y_range_mm = [0.0, 200.0]
-z_range_mm = [0.0, 200.0]
-[limits]
-velocity_mm_per_s = 200.0
-acceleration_mm_per_s2 = 3000.0
-"""
-    path = tmp_path / "box.toml"
-    path.write_text(head + (table if table.startswith("[") else "[axes.x]\n" + table))
-    with pytest.raises(MachineFileError, match=re.escape(rule)):
-        load_machine(path)
 
 
 def chain(k1: float, k2: float, m1: float, m2: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
