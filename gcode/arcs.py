@@ -98,14 +98,6 @@ def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) 
     return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
 
 
-@kernel
-def is_sound(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> bool:
-    """Whether `arc_by_centre` accepts this arc."""
-    first, last = _distance(centre, start), _distance(centre, end)
-    length = abs(_sweep(start, end, centre, clockwise)) * max(first, last)
-    return first >= _SAME_POINT_MM and length <= MAX_ARC_MM
-
-
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
     """Return the arc whose centre lies `offset` (I, J) from the start."""
     arc = _checked(Arc(start, end, (start[0] + offset[0], start[1] + offset[1]), clockwise), line)

@@ -1,8 +1,8 @@
 """The effect of each command that is not a move, on the modal state and on the motion around it.
 
-Read it from the bottom: `EFFECTS` maps names to functions, `OWN_EFFECTS` those that a firmware treats differently. A
-function changes the state and returns whether the motion may continue through the command (PASS) or must rest (STOP,
-DWELL). If the position is unknown after the command, the function makes the state forget it.
+Read it from the bottom: `EFFECTS` maps names to effects, or to functions that change the state and return the effect;
+`OWN_EFFECTS` those that a firmware treats differently. The motion may continue through the command (PASS) or must rest
+(STOP, DWELL). If the position is unknown after the command, the function makes the state forget it.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the next tool comes from the dock
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
 MOVED = Effect(EventKind.STOP, moves_itself=True)
-RETURNED = Effect(EventKind.STOP, moves_itself=True, returns=True)
-STAYED = Effect(EventKind.STOP, returns=True)
+RETURNED = Effect(EventKind.STOP, moves_itself=True, returns=True)  # to the position before it
+STAYED = Effect(EventKind.STOP, returns=True)  # it moves nothing; if it does after all, it returns
 UNKNOWN = Effect(EventKind.STOP, unknown=True, moves_itself=True)
 
 
@@ -58,8 +58,8 @@ def apply(modal: Modal, command: Command) -> Effect:
     if command.name in modal.still:
         return STAYED
     own = OWN_EFFECTS[modal.dialect.commands]
-    if handler := own.get(command.name) or EFFECTS.get(command.name):
-        return handler(modal, command)
+    if effect := own.get(command.name) or EFFECTS.get(command.name):
+        return effect if isinstance(effect, Effect) else effect(modal, command)
     if _TOOL_NAME.fullmatch(command.name):
         return _tool(modal, command)
     if _PARK_NAME.fullmatch(command.name):
@@ -72,38 +72,15 @@ def apply(modal: Modal, command: Command) -> Effect:
     return _unknown(modal, command)
 
 
-def _pass(modal: Modal, command: Command) -> Effect:
-    return PASS
-
-
-def _rest(modal: Modal, command: Command) -> Effect:
-    """Rest: the machine waits or acts without moving."""
-    return STOP
-
-
 def _move_away(modal: Modal, command: Command) -> Effect:
     """Rest and forget the position: the machine moves by itself."""
     modal.forget()
     return MOVED
 
 
-def _come_back(modal: Modal, command: Command) -> Effect:
-    """Rest: the machine may move, and returns to the same position."""
-    return RETURNED
-
-
-def _stay(modal: Modal, command: Command) -> Effect:
-    """Rest: the macro moves nothing; if it does after all, it returns."""
-    return STAYED
-
-
 def _home(modal: Modal, command: Command) -> Effect:
     modal.home()
     return MOVED
-
-
-def _absent(modal: Modal, command: Command) -> Effect:
-    return UNKNOWN
 
 
 def _unknown(modal: Modal, command: Command) -> Effect:
@@ -167,33 +144,20 @@ def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
 # -- modes --
 
 
-def _unit(modal: Modal, command: Command) -> Effect:
-    modal.unit = INCH_MM if command.name == "G20" else 1.0
-    return PASS
-
-
-def _distances(modal: Modal, command: Command) -> Effect:
-    modal.set_modes(absolute=command.name == "G90")
-    return PASS
-
-
-def _filament_distances(modal: Modal, command: Command) -> Effect:
-    modal.set_e_mode(absolute=command.name == "M82")
-    return PASS
-
-
-def _push(modal: Modal, command: Command) -> Effect:
-    modal.push()
-    return PASS
-
-
-def _pop(modal: Modal, command: Command) -> Effect:
-    modal.pop()
-    return PASS
-
-
-def _plane(modal: Modal, command: Command) -> Effect:
-    modal.plane = {"G17": "XY", "G18": modal.dialect.g18_axes, "G19": "YZ"}[command.name]
+def _mode(modal: Modal, command: Command) -> Effect:
+    match command.name:
+        case "G20" | "G21":
+            modal.unit = INCH_MM if command.name == "G20" else 1.0
+        case "G90" | "G91":
+            modal.set_modes(absolute=command.name == "G90")
+        case "M82" | "M83":
+            modal.set_e_mode(absolute=command.name == "M82")
+        case "M120":
+            modal.push()
+        case "M121":
+            modal.pop()
+        case _:
+            modal.plane = {"G17": "XY", "G18": modal.dialect.g18_axes, "G19": "YZ"}[command.name]
     return PASS
 
 
@@ -252,9 +216,8 @@ def _gcode_offset(modal: Modal, command: Command) -> Effect:
         elif f"{letter}_ADJUST" in fields:
             modal.offset_axis(axis, modal.homing[axis] + fields[f"{letter}_ADJUST"])
     if _moves(command):  # by as much as the offsets have changed
-        modal.position[:3] = [p + new - old for p, new, old in zip(modal.position, modal.homing, before, strict=True)][
-            :3
-        ]
+        x, y, z, _ = (p + new - old for p, new, old in zip(modal.position, modal.homing, before, strict=True))
+        modal.position = [x, y, z, modal.position[3]]
     return STOP
 
 
@@ -427,11 +390,7 @@ def _volumetric(modal: Modal, command: Command) -> Effect:
     return _refuse(modal, command) if command.settings().get("D") else PASS
 
 
-def _names(text: str) -> list[str]:
-    return text.split()
-
-
-_PASSING = _names("""
+_PASSING = str.split("""
     G15 G40 G49 G50 G54 G69 G80 G91.1 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108
     M110 M111 M112 M113 M114 M115 M117 M118 M119 M140 M141 M150 M155 M163 M207 M208 M209 M211 M218
     M300 M301 M302 M304 M413 M503 M550 M555 M562 M568 M572 M603 M851 M862.1 M862.2 M862.3
@@ -443,7 +402,7 @@ _PASSING = _names("""
     SET_PRINT_STATS_INFO SET_RETRACTION SET_TEMPERATURE_FAN_TARGET TURN_OFF_HEATERS
     UPDATE_DELAYED_GCODE ECHO VAR GLOBAL SET
 """)
-_RESTING = _names("""
+_RESTING = str.split("""
     G11 G29.1 G29.2 G392 M3 M4 M5 M17 M80 M101 M103 M109 M116 M190 M191 M280 M303 M420 M500 M501 M502
     M504 M569 M575 M593 M620.1 M620.3 M622.1 M630 M906 M911 M912 M913 M914 M915 M919 M960 M971 M973
     M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
@@ -451,8 +410,8 @@ _RESTING = _names("""
 """)
 # Macros that return to where they started; docs/DIALECTS.md has the evidence for each group.
 RETURNING_MACROS = {
-    "pauses, filament changes: what they move may ring": _names("M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME"),
-    "wiping: likewise": _names("""
+    "pauses, filament changes: what they move may ring": str.split("M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME"),
+    "wiping: likewise": str.split("""
         CLEAN_NOZZLE NOZZLE_CLEAN CLEANNOZZLE WIPE_NOZZLE NOZZLE_WIPE NOZZLE_CLEANING NOZZLE_SCRUB SCRUB_NOZZLE
         BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
     """),
@@ -460,20 +419,20 @@ RETURNING_MACROS = {
 # These move nothing unless the owner configured it, and then return: timelapse of Moonraker, Mainsail, Creality,
 # Qidi, whose parking is off by default; fans, lamps, states and layer hooks of Voron, Klippain, RatOS, Creality.
 STILL_MACROS = {
-    "photographs; list yours under `returns` if it parks the nozzle": _names("""
+    "photographs; list yours under `returns` if it parks the nozzle": str.split("""
         M240 TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
         TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
     """),
-    "fans and filters": _names("""
+    "fans and filters": str.split("""
         PART_FAN PART_FANS PART_FAN_ON PART_FAN_OFF SET_PART_FAN COOLING_FAN AUX_FAN AUX_FAN_ON AUX_FAN_OFF SET_AUX_FAN
         CHAMBER_FAN EXHAUST_FAN EXHAUST_FAN_ON EXHAUST_FAN_OFF SIDE_FAN NEVERMORE_ON NEVERMORE_OFF START_FILTER
         STOP_FILTER FILTER_ON FILTER_OFF AIR_FILTER FAN_ON FAN_OFF SET_EXHAUST_FAN
     """),
-    "lamps and sounds": _names("""
+    "lamps and sounds": str.split("""
         LIGHT LIGHT_ON LIGHT_OFF LIGHTS LIGHTS_ON LIGHTS_OFF LED LED_ON LED_OFF LEDS_ON LEDS_OFF CASELIGHT_ON
         CASELIGHT_OFF CASE_LIGHT_ON CASE_LIGHT_OFF STOP_LED_EFFECTS BEEP BEEPER
     """),
-    "layers and states": _names("""
+    "layers and states": str.split("""
         SET_PAUSE_NEXT_LAYER SET_PAUSE_AT_LAYER LAYER_CHANGE _LAYER_CHANGE ON_LAYER_CHANGE _ON_LAYER_CHANGE
         AFTER_LAYER_CHANGE BEFORE_LAYER_CHANGE _AFTER_LAYER_CHANGE _BEFORE_LAYER_CHANGE BEFORE_LAYER AFTER_LAYER
         _ON_LAYER _PRINT_STATUS PRINT_STATUS UPDATE_PRINT_STATS SET_PRINT_STATE SET_PRINT_PROGRESS PRINT_PROGRESS
@@ -482,13 +441,13 @@ STILL_MACROS = {
 }
 # Firmware skips the moves of an object that is excluded while printing. The next move then begins elsewhere, at rest.
 # It starts from the stated position and runs at travel speed within the file's own limits.
-_OBJECTS = _names("EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END M486")
-_STILL = _names("""
+_OBJECTS = str.split("EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END M486")
+_STILL = str.split("""
     SET_TMC_CURRENT SET_TMC_FIELD SET_SMOOTH_TIME SET_EXTRUDER_ROTATION_DISTANCE SET_SERVO SET_DIGIPOT
     QUERY_FILAMENT_SENSOR QUERY_ENDSTOPS GET_POSITION HELP CLEAR_PAUSE
     ENABLE_FILAMENT_SENSOR DISABLE_FILAMENT_SENSOR SET_SKEW SKEW_PROFILE
 """)
-_MOVING_AWAY = _names("""
+_MOVING_AWAY = str.split("""
     G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 G53 M2 M30 M48 M81 M98 M125 M206
     M401 M402 M428 M524 M605 M620 M621 M665 M666 M701 M702 M970 M970.3 M972
     M974 M976 M977 M982 M983 M983.1 M983.3 M983.4 M984 M1006 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
@@ -496,37 +455,31 @@ _MOVING_AWAY = _names("""
     DELTA_CALIBRATE END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT
     Z_TILT_ADJUST
 """)
-_REFUSED = _names("""
+_REFUSED = str.split("""
     G16 G41 G42 G43 G43.1 G43.2 G51 G52 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 G68 G90.1
     G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE ABORT
 """)
 
-PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))
-EFFECTS: dict[str, Handler] = {
-    **dict.fromkeys(_PASSING, _pass),
-    **dict.fromkeys(_RESTING, _rest),
-    **dict.fromkeys(_STILL, _rest),
-    **dict.fromkeys(chain(*RETURNING_MACROS.values()), _come_back),
-    **dict.fromkeys(chain(*STILL_MACROS.values()), _stay),
-    **dict.fromkeys(_OBJECTS, _stay),
+EFFECTS: dict[str, Handler | Effect] = {
+    **dict.fromkeys(_PASSING, PASS),
+    **dict.fromkeys([*_RESTING, *_STILL], STOP),
+    **dict.fromkeys(chain(*RETURNING_MACROS.values()), RETURNED),
+    **dict.fromkeys(chain(*STILL_MACROS.values(), _OBJECTS), STAYED),
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),
+    **dict.fromkeys(("G17", "G18", "G19", "G20", "G21", "G90", "G91", "M82", "M83"), _mode),
+    **dict.fromkeys(("M18", "M84"), _motors_off),
+    **dict.fromkeys(("M120", "M121"), PASS),  # endstops on and off
     "G4": _dwell,
-    "M400": _rest,
+    "M400": STOP,
     "G10": _retraction_or_tool_setting,
-    **dict.fromkeys(("G17", "G18", "G19"), _plane),
-    **dict.fromkeys(("G20", "G21"), _unit),
     "G28": _home,
-    **dict.fromkeys(("G90", "G91"), _distances),
     "G92": _rename,
     "G92.1": _names_back,
-    **dict.fromkeys(("M18", "M84"), _motors_off),
-    **dict.fromkeys(("M82", "M83"), _filament_distances),
     "M200": _volumetric,
     "M201": _axis_acceleration,
     "M203": _axis_velocity,
     "M204": _acceleration,
-    **dict.fromkeys(("M120", "M121"), _pass),  # endstops on and off
     "M205": _jerk,
     "M220": _feed_factor,
     "M221": _flow,
@@ -540,13 +493,13 @@ EFFECTS: dict[str, Handler] = {
     "SET_VELOCITY_LIMIT": _velocity_limit,
 }
 # Commands that a firmware treats differently; a dialect names its row (`gcode.dialect`).
-OWN_EFFECTS: dict[str, dict[str, Handler]] = {
+OWN_EFFECTS: dict[str, dict[str, Handler | Effect]] = {
     KLIPPER: {
-        **dict.fromkeys(("G92.1", "M120", "M121"), _absent),
-        **dict.fromkeys(("M201", "M203", "M205", "M566"), _pass),
+        **dict.fromkeys(("G92.1", "M120", "M121"), UNKNOWN),
+        **dict.fromkeys(("M201", "M203", "M205", "M566"), PASS),
         "G4": _dwell_of_klipper,
         "M204": _acceleration_of_klipper,
     },
-    MARLIN: {"M220": _feed_factor_of_marlin, "M400": _finish_moves, "M566": _pass},
-    REPRAPFIRMWARE: {"M120": _push, "M121": _pop, "M205": _jerk_as_m566},
+    MARLIN: {"M220": _feed_factor_of_marlin, "M400": _finish_moves, "M566": PASS},
+    REPRAPFIRMWARE: {"M120": _mode, "M121": _mode, "M205": _jerk_as_m566},
 }

@@ -28,20 +28,10 @@ _SPACE, _MINUS, _POINT, _ZERO, _NEWLINE, _G = b" -.0\nG"
 
 @kernel
 def write_moves(
-    xyz: FloatArray,
-    e: FloatArray,
-    speed: FloatArray,
-    lasting: FloatArray,
-    slack: FloatArray,
-    base: Place,
-    per_mm: Place,
-    f_counts: float,
-    relative: tuple[bool, bool],
-    state: IntArray,
-    last: FloatArray,
-    stated: FloatArray,
-    out: ByteArray,
-) -> IntArray:
+    xyz: FloatArray, e: FloatArray, speed: FloatArray, lasting: FloatArray, slack: FloatArray,
+    base: Place, per_mm: Place, f_counts: float, relative: tuple[bool, bool],
+    state: IntArray, last: FloatArray, stated: FloatArray, out: ByteArray,
+) -> IntArray:  # fmt: skip
     """Write n `G1` lines one after the other; returns where each one ends in `out`, (n,) bytes.
 
     Parameters
@@ -98,16 +88,9 @@ def _short(counts: float, before: np.int64, slack: float, relative: bool) -> np.
 
 @kernel
 def _feed(
-    to: FloatArray,
-    now: IntArray,
-    speed: float,
-    lasting: float,
-    slack: float,
-    per_mm: Place,
-    f_counts: float,
-    state: IntArray,
-    last: FloatArray,
-) -> np.int64:
+    to: FloatArray, now: IntArray, speed: float, lasting: float, slack: float,
+    per_mm: Place, f_counts: float, state: IntArray, last: FloatArray,
+) -> np.int64:  # fmt: skip
     """Choose F: the last one if the move then ends in time, or else the one with the fewest digits.
 
     The next move corrects a move's timing error, so time does not drift.
@@ -262,20 +245,9 @@ class MoveWriter:
         if self._holds_z:  # an unknown height is not written
             xyz = np.column_stack([xyz[:, :2], np.full(len(xyz), self.place[2])])
         none = np.zeros(len(e))
+        given = xyz, e, speeds, none if lasting is None else lasting, none if slack is None else slack
+        form = self._base, self._per_mm, self._f_counts, self._relative
+        stated = np.empty((len(e), 3)) if stated is None else stated
         out = np.empty(len(e) * LONGEST_LINE, dtype=np.uint8)
-        ends = write_moves(
-            np.ascontiguousarray(xyz),
-            np.ascontiguousarray(e),
-            np.ascontiguousarray(speeds),
-            none if lasting is None else np.ascontiguousarray(lasting),
-            none if slack is None else np.ascontiguousarray(slack),
-            self._base,
-            self._per_mm,
-            self._f_counts,
-            self._relative,
-            self._state,
-            self._last,
-            np.empty((len(e), 3)) if stated is None else stated,
-            out,
-        )
+        ends = write_moves(*map(np.ascontiguousarray, given), *form, self._state, self._last, stated, out)
         return out[: ends[-1]].tobytes() if len(ends) else b"", ends

@@ -1,36 +1,33 @@
 """Follow the plain bulk of a print straight from its bytes, into tables of moves and events.
 
-That is plain `G0` to `G3`, `G92 E0`, M codes that change nothing, comments, empty lines.
+That is plain `G0` and `G1`, comments, empty lines. (Arcs, `G92 E0` and M codes are too rare to gain by it: 1 % of the
+time of `compensate` at most.)
 
-A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, or `G2` or `G3` in the plane XY with those
-and I or J or both, in capitals, as plain decimals of at most 15 digits, 6 of them before the point. The result equals
-that of `gcode.words` and `gcode.state` bit for bit: an integer below 10^15 and a power of ten up to 10^22 are exact in
-binary, so their quotient is the double nearest to the decimal (Clinger 1990, "How to read floating point numbers
-accurately", section 4), and sums have the same order.
+A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, in capitals, as plain decimals of at most 15
+digits, 6 of them before the point. The result equals that of `gcode.words` and `gcode.state` bit for bit: an integer
+below 10^15 and a power of ten up to 10^22 are exact in binary, so their quotient is the double nearest to the decimal
+(Clinger 1990, "How to read floating point numbers accurately", section 4), and sums have the same order.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import repeat
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gcode.arcs import MAX_CHORD_MM, chords, is_sound
 from gcode.commands import PASS, Effect
-from gcode.program import BoolArray, ByteArray, Event, EventKind, FloatArray, IntArray, ModalState, MotionLimits, Moves
+from gcode.program import ByteArray, Event, EventKind, FloatArray, IntArray, ModalState, MotionLimits, Moves
 from gcode.state import Vector4
 from models.compiled import kernel
 
-Place = tuple[float, float, float, float]  # X Y Z E, mm
-
 STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as in Klipper
 
-_TAB, _NEWLINE, _RETURN, _SPACE, _PLUS, _MINUS, _POINT, _SEMICOLON, _TWO, _G, _M = b"\t\n\r +-.;2GM"
-_E, _F, _I, _J = 3, 4, 5, 6  # columns among the words
-_LETTERS = b"XYZEFIJ"
+_TAB, _NEWLINE, _RETURN, _SPACE, _PLUS, _MINUS, _POINT, _SEMICOLON, _G = b"\t\n\r +-.;G"
+_LETTERS = b"XYZEF"
 _RECENT = 16
 _DIGITS_BEFORE_POINT, _DIGITS = 6, 15
 _POWERS = np.array([10.0**k for k in range(_DIGITS + 1)])
@@ -44,12 +41,12 @@ class Modes(NamedTuple):
     origin_x: float  # mm, added to an absolute coordinate
     origin_y: float
     origin_z: float
+    origin_e: float
     relative: bool
     relative_e: bool
     unit: float  # mm of toolhead per unit of the file
     unit_e: float  # mm of filament per unit of the file
     feed_factor: float
-    arc_tolerance: float  # mm, between an arc in the plane XY and its chords; NaN: arcs lie in another plane
 
 
 class Cursor(NamedTuple):
@@ -59,15 +56,14 @@ class Cursor(NamedTuple):
     line: int
     moves: int
     events: int
-    states: int  # states: feed, names of places and modes
+    feeds: int  # feeds that were in force so far
     state: int  # the number of the one in force
     x: float  # mm, of the toolhead; NaN: not known
     y: float
     z: float
     e: float
     feed: float  # mm/s; NaN: no line has set one yet
-    origin_e: float  # mm, added to an absolute E: what G92 E changes
-    motion: int  # of the last plain move followed: 0 to 3; -1: there was none
+    motion: int  # of the last plain move followed: 0 or 1; -1: there was none
     stuck: bool  # the line needs the general reader
 
 
@@ -77,78 +73,54 @@ class Cursor(NamedTuple):
 
 @kernel
 def follow(
-    text: ByteArray, passing: BoolArray, here: Cursor, modes: Modes, limit: int,
-    ends: FloatArray, moves: IntArray, events: IntArray, states: FloatArray,
+    text: ByteArray, here: Cursor, modes: Modes, limit: int,
+    ends: FloatArray, moves: IntArray, events: IntArray, feeds: FloatArray,
 ) -> Cursor:  # fmt: skip
-    """Follow plain lines until one needs the general reader, `states` is full, or the text ends.
+    """Follow plain lines until one needs the general reader, `feeds` is full, or the text ends.
 
     Parameters
     ----------
     text : the bytes of whole lines, and an extra newline
-    passing : (k,), whether each M code changes nothing
     limit : the number of the limits in force
-    ends : (n, 4) mm, columns X Y Z E: where each move ends; rows are written from `here.moves` on. There is room for
-        one for each line that is left; where more are free, arcs take them
+    ends : (n, 4) mm, columns X Y Z E: where each move ends; rows are written from `here.moves` on
     moves : (n, 3), columns line, state, limit
     events : (m, 3), columns line, moves before it, state, of m lines; rows are written from `here.events` on
-    states : (k, 2), columns feed mm/s, origin of E mm, of each new state; written from its beginning on
+    feeds : (k,) mm/s, of each new state; written from its beginning on
     """
-    at, line, move, event, known, state, x, y, z, e, feed, origin_e, motion, _ = here
+    at, line, move, event, known, state, x, y, z, e, feed, motion, _ = here
     words = np.empty(len(_LETTERS))
     new_count, stuck = 0, False
-    while at < len(text) - 1 and new_count < len(states):
-        code = at
-        made = 0
-        number = text[at + 1] - 48
-        if text[at] == _G and number in (0, 1, 2, 3):
+    while at < len(text) - 1 and new_count < len(feeds):
+        code, moved, number = at, False, text[at + 1] - 48
+        if text[at] == _G and number in (0, 1):
             code = _read_words(text, at + 2, words)
             new_x = _coordinate(words[0], modes.unit, x, modes.origin_x, modes.relative)
             new_y = _coordinate(words[1], modes.unit, y, modes.origin_y, modes.relative)
             new_z = _coordinate(words[2], modes.unit, z, modes.origin_z, modes.relative)
-            new_e = _coordinate(words[3], modes.unit_e, e, origin_e, modes.relative_e)
+            new_e = _coordinate(words[3], modes.unit_e, e, modes.origin_e, modes.relative_e)
             dx, dy, dz, de = new_x - x, new_y - y, new_z - z, new_e - e
             travelled = dx * dx + dy * dy + dz * dz + de * de
-            stuck = code < 0 or words[_F] <= 0 or np.isnan(travelled)  # NaN: from or to an unknown place
-            if number > 1 and not stuck:
-                room = ends[move : len(ends) - (len(events) - line - 1)]
-                made = _arc((x, y, z, e), (new_x, new_y, new_z, new_e), number == 2, words, modes, room)
-                stuck = made == 0
-            elif not stuck:
-                stuck = not (np.isnan(words[_I]) and np.isnan(words[_J]))
-                if travelled > STILL_MM2:
-                    made = 1
-                    ends[move, 0], ends[move, 1], ends[move, 2], ends[move, 3] = new_x, new_y, new_z, new_e
+            stuck = code < 0 or words[4] <= 0 or np.isnan(travelled)  # NaN: from or to an unknown place
             if stuck:
                 break
-            wanted = words[_F] / 60 * modes.unit * modes.feed_factor
+            moved = travelled > STILL_MM2
+            wanted = words[4] / 60 * modes.unit * modes.feed_factor
             if not np.isnan(wanted) and wanted != feed:
                 feed = wanted
-                new = _state(states, new_count, feed, origin_e)
+                new = _state(feeds, new_count, feed)
                 new_count, state = max(new_count, new + 1), known + new
             x, y, z, e, motion = new_x, new_y, new_z, new_e, number
-        elif text[at] == _G and number == 9 and text[at + 2] == _TWO:
-            code = _read_words(text, at + 3, words)
-            stuck = code < 0 or not _names_e_only(words)
-            if stuck:
-                break
-            origin_e = e - words[_E] * modes.unit_e
-            new = _state(states, new_count, feed, origin_e)
-            new_count, state = max(new_count, new + 1), known + new
-        elif text[at] == _M:
-            code = _read_m_code(text, at + 1, passing)
-            stuck = code < 0
-            if stuck:
-                break
         else:
             while text[code] in (_SPACE, _TAB):
                 code += 1
             stuck = not _ends_code(text[code])
             if stuck:
                 break
-        for _ in range(made):
+        if moved:
+            ends[move, 0], ends[move, 1], ends[move, 2], ends[move, 3] = x, y, z, e
             moves[move, 0], moves[move, 1], moves[move, 2] = line, state, limit
             move += 1
-        if made == 0:
+        else:
             events[event, 0], events[event, 1], events[event, 2] = line, move, state
             event += 1
         at = code
@@ -156,40 +128,16 @@ def follow(
             at += 1
         at += 2 if text[at] == _RETURN and text[at + 1] == _NEWLINE else 1
         line += 1
-    return Cursor(at, line, move, event, known + new_count, state, x, y, z, e, feed, origin_e, motion, stuck)
+    return Cursor(at, line, move, event, known + new_count, state, x, y, z, e, feed, motion, stuck)
 
 
 @kernel
-def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Modes, ends: FloatArray) -> int:
-    """Write an arc's chords into the first rows of `ends`; returns how many, 0 where it needs the general reader.
-
-    Chords share height and filament evenly: all are equally long.
-    """
-    if np.isnan(modes.arc_tolerance) or (np.isnan(words[_I]) and np.isnan(words[_J])):
-        return 0
-    centre_x = start[0] + (0.0 if np.isnan(words[_I]) else words[_I] * modes.unit)
-    centre_y = start[1] + (0.0 if np.isnan(words[_J]) else words[_J] * modes.unit)
-    arc = (start[0], start[1]), (end[0], end[1]), (centre_x, centre_y), clockwise
-    if not is_sound(*arc):
-        return 0
-    points = chords(*arc, modes.arc_tolerance, MAX_CHORD_MM)
-    if len(points) > len(ends):
-        return 0
-    for k in range(len(points)):
-        share = points[k, 2]
-        ends[k, 0], ends[k, 1] = points[k, 0], points[k, 1]
-        ends[k, 2], ends[k, 3] = start[2] + (end[2] - start[2]) * share, start[3] + (end[3] - start[3]) * share
-    ends[len(points) - 1, 2], ends[len(points) - 1, 3] = end[2], end[3]
-    return len(points)
-
-
-@kernel
-def _state(states: FloatArray, new_count: int, feed: float, origin_e: float) -> int:
-    """Return the row of this state: one of the last few, because prints alternate between feeds, or a new one."""
+def _state(feeds: FloatArray, new_count: int, feed: float) -> int:
+    """Return the row of this feed: one of the last few, because prints alternate between feeds, or a new one."""
     for row in range(new_count - 1, max(new_count - _RECENT, 0) - 1, -1):
-        if states[row, 0] == feed and states[row, 1] == origin_e:
+        if feeds[row] == feed:
             return row
-    states[new_count, 0], states[new_count, 1] = feed, origin_e
+    feeds[new_count] = feed
     return new_count
 
 
@@ -233,26 +181,6 @@ def _read_words(text: ByteArray, at: int, words: FloatArray) -> int:
 
 
 @kernel
-def _names_e_only(words: FloatArray) -> bool:
-    named = 0
-    for word in words:
-        named += not np.isnan(word)
-    return named == 1 and not np.isnan(words[_E])
-
-
-@kernel
-def _read_m_code(text: ByteArray, at: int, passing: BoolArray) -> int:
-    """Return where the number of an M code that changes nothing ends, ignoring the rest of the line; -1 for others."""
-    code, digit = 0, _digit(text[at])
-    while digit >= 0 and code < len(passing):
-        code = 10 * code + digit
-        at += 1
-        digit = _digit(text[at])
-    known = code < len(passing) and passing[code]
-    return at if known and (_ends_code(text[at]) or text[at] in (_SPACE, _TAB)) else -1
-
-
-@kernel
 def _digit(byte: int) -> int:
     """0 to 9; -1 for any other byte."""
     digit = byte - 48
@@ -270,6 +198,12 @@ def _coordinate(word: float, unit: float, place: float, origin: float, relative:
     if np.isnan(word):
         return place
     return word * unit + (place if relative else origin)
+
+
+_LIMITS = attrgetter(
+    *("velocity", "acceleration", "travel_acceleration"),
+    *("square_corner_velocity", "minimum_cruise_ratio", "filament_velocity"),
+)
 
 
 def _speed_for_filament(steps: FloatArray, most: FloatArray) -> FloatArray:
@@ -311,19 +245,7 @@ class MoveTable:
         """Return the table as arrays; speeds and limits come from the frames and limits in force."""
         line, state, limit = self.rows[: self.count].T.copy()
         frame = frame_of_state[state]
-        columns = np.array(
-            [
-                (
-                    a.velocity,
-                    a.acceleration,
-                    a.travel_acceleration,
-                    a.square_corner_velocity,
-                    a.minimum_cruise_ratio,
-                    a.filament_velocity,
-                )
-                for a in limits
-            ]
-        )
+        columns = np.array([_LIMITS(each) for each in limits])
         velocity, acceleration, travel, corner, cruise_ratio, filament = np.take(columns.T, limit, axis=1)
         start, end = self._starts(), self.ends[: self.count]
         speed = np.array([a.feed_mm_per_s for a in frames])[frame]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
-from gcode.commands import MOVED, PASS, PASSING_M_CODES, Effect, apply
+from gcode.commands import MOVED, PASS, Effect, apply
 from gcode.dialect import DIALECTS, BareWords
 from gcode.dialects import (
     detect_flavor,
@@ -38,12 +38,11 @@ _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJ
 _FOLLOWED_BY_NOBODY = "ABCUVWGMT"  # unsupported axes, and other commands
 _ARC_WORDS = frozenset("XYZIJKR")
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not affect the path
-_QUIET_STARTS = (b"G1", b"G0", b"G2", b"G3", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
-_STATES_AT_A_TIME = 4096
+_QUIET_STARTS = (b"G1", b"G0", b";", b"\n", b"\r", b" ", b"\t")
+_FEEDS_AT_A_TIME = 4096
 _LINES_AHEAD, _BYTES_AHEAD = 2000, 1 << 16  # searched to find out whether E is relative
 _NAMED = 6  # codes that a warning lists
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
-_PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
 
 LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a command that sets limits depends on
 
@@ -153,7 +152,7 @@ class _Reader:
         self.lines: list[bytes] = []
         self.ahead = b""
         self.modes: Modes | None = None  # None: compute again, because a command may have changed them
-        self.new_states = np.empty((_STATES_AT_A_TIME, 2))
+        self.new_feeds = np.empty(_FEEDS_AT_A_TIME)
 
     def program(self, data: bytes, ahead: bytes = b"") -> Program:
         """Read the next part of the file; `ahead` is the beginning of the rest."""
@@ -196,7 +195,6 @@ class _Reader:
         self.events = EventTable(np.empty((len(self.lines), 3), dtype=np.int64))
         self.frames: list[ModalState] = []
         self.frame_numbers: dict[FrameValues, int] = {}
-        self.known_frames: dict[tuple[float, ...], dict[tuple[float, float], int]] = {}  # modes → feed, E → frame
         self.frame = self._frame_number()
         self.states = [self.frame]  # frames in force one after another; the last is in force now
         self.limits = [self.modal.limits]
@@ -223,53 +221,34 @@ class _Reader:
         """Follow plain lines from line `at`; returns the next line, its byte, and whether that is `stuck`."""
         modal, first_move, states = self.modal, self.moves.count, len(self.states)
         self.moves.make_room(len(self.lines) - at)
-        feed, origin_e = modal.feed if modal.feed_known else nan, modal.base[3] + modal.shift[3]
-        x, y, z, e = modal.position
+        feed = modal.feed if modal.feed_known else nan
         counts = byte, at, first_move, self.events.count, states, states - 1
-        here = Cursor(*counts, x, y, z, e, feed, origin_e, motion=-1, stuck=False)
-        tables = self.moves.ends, self.moves.rows, self.events.rows, self.new_states
-        self.modes = self.modes or _modes(modal, self.arc_tolerance)
-        there = follow(text, _PASSING, here, self.modes, self.limit, *tables)
+        x, y, z, e = modal.position
+        here = Cursor(*counts, x, y, z, e, feed, motion=-1, stuck=False)
+        tables = self.moves.ends, self.moves.rows, self.events.rows, self.new_feeds
+        self.modes = self.modes or _modes(modal)
+        there = follow(text, here, self.modes, self.limit, *tables)
         if there.moves > first_move and not modal.feed_known:
-            self._warn_if_no_feed_at(first_move)
-        if there.states > here.states:
-            self._take_states(self.new_states[: there.states - here.states].tolist(), there.state)
+            line, state, _ = self.moves.rows[first_move].tolist()
+            if state < states:
+                self._warn_of_default_feed(line)
+        if there.feeds > here.feeds:
+            self._take_feeds(self.new_feeds[: there.feeds - here.feeds].tolist(), there)
         self.moves.count, self.events.count = there.moves, there.events
         modal.position = [there.x, there.y, there.z, there.e]
         if there.motion >= 0:
             modal.motion = f"G{there.motion}"
         return there.line, there.byte, there.stuck
 
-    def _warn_if_no_feed_at(self, first_move: int) -> None:
-        line, state, _ = self.moves.rows[first_move].tolist()
-        if state < len(self.states) or isnan(self.new_states[state - len(self.states), 0]):
-            self._warn_of_default_feed(line)
-
-    def _take_states(self, states: list[list[float]], in_force: int) -> None:
-        """Add states that differ only in feed and E's origin. Prints repeat few feeds, so frames are cached."""
+    def _take_feeds(self, feeds: list[float], there: Cursor) -> None:
+        """Add a state for each feed; the last one is in force."""
         modal = self.modal
-        modes = (
-            *modal.base[:3],
-            modal.unit,
-            modal.absolute,
-            modal.absolute_e,
-            modal.flow,
-            modal.feed_factor,
-            modal.z_known,
-        )
-        known = self.known_frames.setdefault(modes, {})
-        for feed, origin_e in states:
-            modal.base[3] = origin_e
-            if not isnan(feed):
-                modal.feed, modal.feed_known = feed, True
-            key = feed, origin_e
-            if key not in known:
-                known[key] = self._frame_number()
-            self.states.append(known[key])
-        self.frame = self.states[in_force]
+        modal.feed_known = True
+        for modal.feed in feeds:
+            self.states.append(self._frame_number())
+        modal.feed = there.feed
+        self.frame = self.states[there.state]
         self.states.append(self.frame)
-        present = self.frames[self.frame]
-        modal.base[3], modal.feed = present.base[3], present.feed_mm_per_s
 
     # -- the general way --
 
@@ -323,7 +302,7 @@ class _Reader:
 
     def _command(self, at: int, command: Command) -> None:
         self.modes = None
-        before, limits_before = self.modal.position[:], (self.modal.requested, self.modal.caps, self.modal.unit)
+        before, limits_before = self.modal.position, (self.modal.requested, self.modal.caps, self.modal.unit)
         effect = apply(self.modal, command)
         if command.name == "G90" and self.modal.dialect.g90_sets_e and self.modal.relative_e_stated:
             self._settle_e_after_g90(at)
@@ -332,7 +311,7 @@ class _Reader:
         if effect.unknown and command.name not in self.warned:
             self.warned.add(command.name)
             self.unknown[command.name] = at
-        if self.modal.position != before:
+        if self.modal.position is not before:
             self.lost = self._number(at), command.name
             self.moves.jumps[self.moves.count] = self.modal.position[:]
         if effect.limits is not None:
@@ -541,9 +520,8 @@ def _are(names: Iterable[str]) -> str:
     return f"{', '.join(first[:-1])} and {first[-1]} are" if len(first) > 1 else f"{first[0]} is"
 
 
-def _modes(modal: Modal, arc_tolerance: float) -> Modes:
-    x, y, z, _ = (base + shift for base, shift in zip(modal.base, modal.shift, strict=True))
-    relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
-    arcs = arc_tolerance if modal.plane == "XY" else nan
+def _modes(modal: Modal) -> Modes:
+    x, y, z, e = (base + shift for base, shift in zip(modal.base, modal.shift, strict=True))
     z = z if modal.z_known else nan  # an absolute Z from an unknown height needs the general reader
-    return Modes(x, y, z, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor, arcs)
+    relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
+    return Modes(x, y, z, e, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor)

@@ -7,8 +7,11 @@ sum, so no other rule about unknown positions is needed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from math import isnan, nan
+from typing import Any
 
 from gcode.dialect import DIALECTS, KLIPPER, Dialect
 from gcode.errors import GcodeError
@@ -24,20 +27,8 @@ Whereabouts = tuple[tuple[float | None, ...], bool, bool]  # position and base, 
 FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float, bool]
 
 
-@dataclass(frozen=True, slots=True)
-class Saved:
-    """The state that SAVE_GCODE_STATE saves."""
-
-    base: tuple[float, ...]
-    shift: tuple[float, ...]
-    homing: tuple[float, ...]
-    position: tuple[float, ...]
-    z_known: bool
-    absolute: bool
-    absolute_e: bool
-    feed: float
-    feed_factor: float
-    flow: float
+Saved = Mapping[str, Any]  # what SAVE_GCODE_STATE saves, by attribute
+_SAVED = ("base", "shift", "homing", "position", "z_known", "absolute", "absolute_e", "feed", "feed_factor", "flow")
 
 
 @dataclass(slots=True)
@@ -85,16 +76,8 @@ class Modal:
     def frame_values(self) -> FrameValues:
         """Return the values of `frame` in order, a key that is much faster to look up than the frame."""
         x, y, z, e = self.base
-        return (
-            (x, y, z, e),
-            self.unit,
-            self.absolute,
-            self.is_absolute(3),
-            self.flow,
-            self.feed_factor,
-            self.feed,
-            self.z_known,
-        )
+        modes = self.unit, self.absolute, self.is_absolute(3), self.flow, self.feed_factor, self.feed, self.z_known
+        return (x, y, z, e), *modes
 
     def guessed(self) -> Vector4:
         """Return the position; where unknown, the guess from before the macro."""
@@ -103,7 +86,7 @@ class Modal:
     def forget(self) -> None:
         """Make the position unknown (probing, a macro), but keep it as a guess."""
         self.guess = self.guessed()
-        self.position[:3] = [nan, nan, nan]
+        self.position = [nan, nan, nan, self.position[3]]
         self.z_known = True
 
     def forget_even_roughly(self) -> None:
@@ -219,32 +202,19 @@ class Modal:
 
     def save(self, name: str) -> None:
         """Keep the state under a name (SAVE_GCODE_STATE)."""
-        self.saved[name] = Saved(
-            tuple(self.base),
-            tuple(self.shift),
-            tuple(self.homing),
-            tuple(self.position),
-            self.z_known,
-            self.absolute,
-            self.absolute_e,
-            self.feed,
-            self.feed_factor,
-            self.flow,
-        )
+        self.saved[name] = {key: copy(getattr(self, key)) for key in _SAVED}
 
     def return_to(self, saved: Saved) -> None:
         """RESTORE_GCODE_STATE's move, after it has restored the rest."""
-        self.position[:3], self.z_known = saved.position[:3], saved.z_known
+        self.position, self.z_known = [*saved["position"][:3], self.position[3]], saved["z_known"]
 
     def restore(self, saved: Saved) -> None:
         """RESTORE_GCODE_STATE without its move; E continues from its present value."""
-        self.base, self.shift, self.homing = list(saved.base), list(saved.shift), list(saved.homing)
-        self.base[3] += self.position[3] - saved.position[3]
-        self.absolute, self.absolute_e = saved.absolute, saved.absolute_e
-        self.feed, self.feed_factor, self.flow = saved.feed, saved.feed_factor, saved.flow
-        for axis in range(3):
-            if isnan(self.base[axis]):  # saved after G92 had named an unknown position
-                self.position[axis] = nan
+        for key in set(_SAVED) - {"position", "z_known"}:
+            setattr(self, key, copy(saved[key]))
+        self.base[3] += self.position[3] - saved["position"][3]
+        if any(map(isnan, self.base)):  # saved after G92 had named an unknown position
+            self.position = [nan if isnan(b) else p for p, b in zip(self.position, self.base, strict=True)]
 
     def arc_axes(self) -> tuple[int, int, int]:
         """Return the two axes of the arc's plane, then its normal."""
@@ -266,15 +236,13 @@ class Modal:
         self._bound()
 
     def _bound(self) -> None:
-        velocity = _smaller(self.requested.velocity, self.caps.velocity)
-        acceleration = _smaller(self.requested.acceleration, self.caps.acceleration)
-        travel = _smaller(self.requested.travel_acceleration, self.caps.acceleration)
+        requested, caps = self.requested, self.caps
         self.limits = replace(
-            self.requested,
-            velocity=velocity,
-            acceleration=acceleration,
-            travel_acceleration=travel,
-            filament_velocity=self.caps.filament_velocity,
+            requested,
+            velocity=_smaller(requested.velocity, caps.velocity),
+            acceleration=_smaller(requested.acceleration, caps.acceleration),
+            travel_acceleration=_smaller(requested.travel_acceleration, caps.acceleration),
+            filament_velocity=caps.filament_velocity,
         )
 
 
