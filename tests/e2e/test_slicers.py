@@ -7,10 +7,9 @@ import os
 import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,37 +72,6 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "logs" / "ffcomp.log"
     monkeypatch.setenv("FFCOMP_LOG", str(path))
     return path
-
-
-@pytest.fixture
-def _no_handler_stays() -> Iterator[None]:
-    before = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, before)
-
-
-@pytest.mark.usefixtures("_no_handler_stays")
-def test_every_run_is_logged(log: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def code(*arguments: str | Path) -> object:
-        monkeypatch.setattr(sys, "argv", ["ffcomp", *map(str, arguments)])
-        try:
-            command_line.main()
-        except SystemExit as end:
-            return end.code
-        return 0
-
-    assert code("compensate", "-q", "-m", "kossel", temporary) == 0
-    assert code("compensate", temporary) == 2
-    monkeypatch.setenv("SLIC3R_PP_HOST", "File")
-    assert code("compensate", "-m", "kosel", temporary) == 5
-    text = log.read_text(encoding="utf-8")
-    said = ["compensate -q -m kossel", "contour error", "Look at it", "exit code 0", "--machine is missing"]
-    said += ["exit code 2", "called by a slicer, for File", "Did you mean 'kossel'?", "exit code 5"]
-    assert [word for word in said if word not in text] == []
-    assert [text.index(word) for word in said] == sorted(text.index(word) for word in said)
-    assert all(
-        re.match(rf"\d{{4}}-\d\d-\d\dT[\d:]{{8}}[+-]\d{{4}} \[{os.getpid()}\] ", line) for line in text.splitlines()
-    )
 
 
 def test_a_fault_of_ours_leaves_its_traceback(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

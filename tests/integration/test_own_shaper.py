@@ -71,13 +71,3 @@ def test_the_imported_shaper_is_off_for_the_print_and_on_again_after_it(flavor: 
     assert lines.index(OFF[flavor]) < first and last < lines.index(on[0]) < lines.index("M0")
     kept, _ = lines_of(machine_with(*on, flavor=flavor), keep_shaper=True)
     assert shaper_lines(kept) == []
-
-
-def test_a_shaper_that_is_not_known_is_left_alone_and_warned_of() -> None:
-    machine = replace(machine_with(), input_shaper=None)
-    lines, warnings = lines_of(machine)
-    assert shaper_lines(lines) == [] and any("which must be off" in each for each in warnings)
-    assert shaper_lines(lines_of(machine, keep_shaper=False)[0]) == [OFF["klipper"]]
-    assert lines_of(machine_with(), keep_shaper=None)[1] == [], "none: there is nothing to say"
-    other = machine_with("M593 X F40")  # of another firmware
-    assert shaper_lines(lines_of(other)[0]) == []

@@ -49,18 +49,3 @@ def test_the_scale_is_one_more_way(printer: Machine) -> None:
     assert len(redundancy_problems(heavier)) == 3  # the sum, m_1 and m_2
     by_hammer = next(each for each in redundant_quantities(heavier) if each.key == "effector.nozzle_mass_kg").others
     assert by_hammer[1].value == pytest.approx((1519 / 1674) ** 2 * 0.75)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "words"),
-    [
-        ({"damping_ratio": "small"}, "'small' must be a number above zero"),
-        ({"damping_ratio": -0.1}, "-0.1 must be a number above zero"),
-        ({"added_mass_kg": True}, "True must be a number"),
-        ({"hammer_axis": "w"}, "'w' must be one of 'x', 'y', 'z'"),
-        ({"hammer_zero_rad_s": 1500.0}, "did you mean 'hammer_zero_rad_per_s'?"),
-        ({"loaded_natural_frequency_rad_per_s": 800.0}, "must be below natural_frequency_rad_per_s = 730"),
-    ],
-)
-def test_measured_numbers_that_cannot_be_are_named(printer: Machine, numbers: dict[str, object], words: str) -> None:
-    assert any(words in note for note in redundancy_problems(with_measured(printer, **numbers)))

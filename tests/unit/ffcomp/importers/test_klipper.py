@@ -157,19 +157,6 @@ def test_a_corexy_printer(tmp_path: Path) -> None:
     assert list(machine.kinematics.centre_mm) == [147.5, 151.25]
 
 
-def test_what_has_no_place_in_a_machine_file_is_said(tmp_path: Path) -> None:
-    text = PLAIN.replace("max_accel: 2500", "max_accel: 2500\nminimum_cruise_ratio: 0")
-    notes = " ".join(found(tmp_path, text + SHAPER).notes)
-    assert "SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=0" in notes
-    older = PLAIN.replace("max_accel: 2500", "max_accel: 2500\nmax_accel_to_decel: {}")
-    assert "max_accel_to_decel = 2500: a cruise ratio of 0 " in " ".join(found(tmp_path, older.format(2500)).notes)
-    assert "decel" not in " ".join(found(tmp_path, older.format(1250)).notes)
-    assert found(tmp_path, PLAIN + SHAPER).shaper_hz == (61.2, 43.4)
-    limited = found(tmp_path, COREXY.replace(": corexy", ": limited_corexy"))
-    assert limited.kinematics == "corexy"
-    assert "limits of single axes" in limited.notes[0]
-
-
 def test_a_macro_that_sets_the_shaper_is_said(tmp_path: Path) -> None:
     macro = "[gcode_macro PRINT_START]\ngcode:\n    G28\n    set_input_shaper SHAPER_FREQ_X=50\n"
     says = found(tmp_path, COREXY + "[input_shaper]\n" + macro)
