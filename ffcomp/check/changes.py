@@ -1,23 +1,22 @@
-"""What of a printer may change between two checks, fitted to the difference of their signals: one change at a time.
+"""What of a printer may change between two checks, each change fitted by itself to the difference of their signals.
 
 A change is one number: belts (all, or each), mass on the nozzle holder, damping and dry friction of the guides; of
-straight axes frequency and damping of each mode. The difference is added to what the machine of the earlier check would
-feel, so that a change is simulated like any other machine. Each experiment may be late by what its clock allows.
+straight axes frequency and damping of each mode. A few sizes of each are simulated; between them the response is
+interpolated. Each experiment may be late by what its clock allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
 
-from ffcomp.check.signals import DEPENDENT, RATE_HZ, SensorSignal, in_band, rows_of, share_apart
-from ffcomp.inference.fit import FitResult, Settings, fit
-from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
+from ffcomp.check.signals import DEPENDENT, FROM_DAY_TO_DAY, RATE_HZ, SensorSignal, in_band, rows_of, share_apart
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.clock import RATE_HZ as SIMULATED_HZ
 from ffcomp.record.clock import simulated
@@ -29,27 +28,28 @@ from models.machine import Machine, value_of, with_values
 SPARE_S = 0.4  # simulated before and after
 GUIDES = "ABC"  # each has a belt
 HIGHER, STIFFER, MORE = ("higher", "lower"), ("stiffer", "softer"), ("more", "less")
-TURN, GAIN = "turn", "gain"  # of the sensor, about the vertical
-UNSEEN = 1e-3  # of the signal, by a step of a change: less is left out
 AS_NOISE = 1.25  # times the noise: nothing has changed
-TRIED, WORTHWHILE = 3, 0.5  # changes that are simulated as far as they go; of what the best one explains at first
 SIZES = np.array([-0.6, 0.6])  # of their usual sizes: how far changes are simulated at first
-DERIVATIVES, EARLIER = Settings(steps=0), Settings(steps=2, keep=True)
-ONE_CHANGE = Settings(steps=6, share=5e-4, keep=True)
+TRIED, ROUNDS = 3, 3  # changes whose best size is simulated too, and how often
+BEYOND = 2.5  # times the simulated sizes may the best size lie beyond them
+EARLIER_STEPS = 2  # from the machine file to the printer of an earlier check
 
 
 @dataclass(frozen=True)
 class Change:
     """One number of the printer, as a change from the machine file."""
 
-    unknown: Unknown  # its prior is how far it is from printer to file
+    name: str
+    sd: float  # its usual size, which is how far the printer is from its file
+    low: float
+    high: float
     changed: Callable[[Machine, float], Machine]
     sentence: str  # with {size} and {way}
     unit: str = ""  # empty: a relative change
     scale: float = 100.0  # of the size in the sentence
     ways: tuple[str, str] = HIGHER
     worth: float | None = None  # a check that would miss so much is inconclusive
-    special: bool = False  # a case of another change: one belt of all
+    special: bool = False  # a case of others: one belt of all, all belts of modes
 
     def words(self, value: float) -> str:
         """Say that the printer has changed by so much."""
@@ -62,49 +62,53 @@ Pair = tuple[SensorSignal, SensorSignal]  # today and then
 def changes_of(machine: Machine) -> list[Change]:
     """List the possible changes, the simple before the special."""
     modes = [name for name in machine.vibration.tunable if "frequency_hz[" in name or "damping_ratio[" in name]
-    guides: list[int | None] = [None, *range(3)]
-    changes = [_belts(only) for only in guides]
-    changes += [_friction(machine, only) for only in (guides[:1] if modes else guides)]
+    changes = [change for only in (None, *range(3)) for change in _of_guides(machine, only, bool(modes))]
     if "effector_mass" in effects_of(machine.vibration.moves):
-        unknown = Unknown("mass on the nozzle holder", 0.0, 0.1, -0.3, 1.0, 0.02)
-        words, heavier = "the nozzle holder carries {size:.0f} g {way}", _effect("effector_mass", "added_kg")
-        changes.append(Change(unknown, heavier, words, "kg", 1e3, MORE, worth=0.1))
+        heavier, words = _effect("effector_mass", "added_kg"), "the nozzle holder carries {size:.0f} g {way}"
+        changes.append(Change("mass on the nozzle holder", 0.1, -0.3, 1.0, heavier, words, "kg", 1e3, MORE, worth=0.1))
     if not modes:
-        unknown = Unknown("damping of the guides", 0.0, 15.0, -100.0, 300.0, 3.0)
-        words = "damping is {way}, as by {size:.0f} N s/m in all guides"
-        changes.append(Change(unknown, _effect("guide_damping", "added_n_s_per_m"), words, "N s/m", 1.0))
-    return [*changes, *(_mode(machine, name) for name in modes)]
+        damped, words = (
+            _effect("guide_damping", "added_n_s_per_m"),
+            "damping is {way}, as by {size:.0f} N s/m per guide",
+        )
+        changes.append(Change("damping of the guides", 15.0, -100.0, 300.0, damped, words, "N s/m", 1.0))
+    return sorted([*changes, *(_mode(machine, name) for name in modes)], key=lambda each: each.special)
 
 
-def _belts(only: int | None) -> Change:
-    name, what = ("belts", "all belts are") if only is None else (f"belt {GUIDES[only]}", f"belt {GUIDES[only]} is")
-    changed = _effect("belt_stiffness", "relative_change", np.ones(3) if only is None else np.eye(3)[only])
-    unknown, special = Unknown(name, 0.0, 0.2, -0.6, 1.5, 0.02), only is not None
-    words = what + " {size:.0f} % {way}"
-    return Change(unknown, changed, words, ways=STIFFER, worth=None if special else 0.1, special=special)
-
-
-def _friction(machine: Machine, only: int | None) -> Change:
-    name, what = ("friction", "the guides") if only is None else (f"friction {GUIDES[only]}", f"guide {GUIDES[only]}")
-    unit, special = "N/kg" if machine.vibration.per_kilogram else "N", only is not None
-    already = float(np.min(machine.effects.get("coulomb_friction", {}).get("force_n", 0.0)))
-    unknown = Unknown(name, 0.0, 3.0, -already, 20.0, 0.5)
-    changed = _effect("coulomb_friction", "force_n", np.eye(3)[only] if special else 1.0)
-    words = f"dry friction of {what} is {{size:.1f}} {unit} {{way}}"
-    return Change(unknown, changed, words, unit, 1.0, worth=None if special else 3.0, special=special)
+def _of_guides(machine: Machine, only: int | None, has_modes: bool) -> list[Change]:
+    """Make changes of the belts and of the friction, of all guides or one."""
+    rubs = float(np.min(machine.effects.get("coulomb_friction", {}).get("force_n", 0.0)))
+    unit = "N/kg" if machine.vibration.per_kilogram else "N"
+    if only is None:
+        belts, guides = "all belts are {size:.0f} % {way}", f"dry friction of the guides is {{size:.1f}} {unit} {{way}}"
+        changed = _effect("belt_stiffness", "relative_change", np.ones(3)), _effect("coulomb_friction", "force_n")
+        return [
+            Change("belts", 0.2, -0.6, 1.5, changed[0], belts, ways=STIFFER, worth=0.1, special=has_modes),
+            Change("friction", 3.0, -rubs, 20.0, changed[1], guides, unit, 1.0, worth=3.0),
+        ]
+    name, alone = GUIDES[only], np.eye(3)[only]
+    belt, guide = (
+        f"belt {name} is {{size:.0f}} % {{way}}",
+        f"dry friction of guide {name} is {{size:.1f}} {unit} {{way}}",
+    )
+    changed = _effect("belt_stiffness", "relative_change", alone), _effect("coulomb_friction", "force_n", alone)
+    changes = [
+        Change(f"belt {name}", 0.2, -0.6, 1.5, changed[0], belt, ways=STIFFER, special=True),
+        Change(f"friction {name}", 3.0, -rubs, 20.0, changed[1], guide, unit, 1.0, special=True),
+    ]
+    return changes[:1] if has_modes else changes
 
 
 def _mode(machine: Machine, name: str) -> Change:
     """Make a change of `axes.x.frequency_hz[0]` or its like."""
-    hertz = value_of(machine, name.replace("damping_ratio", "frequency_hz"))
-    damping = "damping_ratio" in name
-    unknown = Unknown(name, 0.0, 0.5, -0.95, 4.0, 0.2) if damping else Unknown(name, 0.0, 0.1, -0.5, 0.8, 0.01)
+    hertz, damping = value_of(machine, name.replace("damping_ratio", "frequency_hz")), "damping_ratio" in name
 
     def changed(machine: Machine, relative: float) -> Machine:
         return with_values(machine, {name: value_of(machine, name) * (1.0 + relative)})
 
-    what = "the damping of the mode" if damping else "the mode"
-    return Change(unknown, changed, f"{what} of {name.split('.')[1]} near {hertz:.0f} Hz is {{size:.0f}} % {{way}}")
+    of = f"{'the damping of ' * damping}the mode of {name.split('.')[1]} near {hertz:.0f} Hz"
+    sd, low, high = (0.5, -0.95, 4.0) if damping else (0.1, -0.5, 0.8)
+    return Change(name, sd, low, high, changed, f"{of} is {{size:.0f}} % {{way}}")
 
 
 def _effect(effect: str, key: str, which: FloatArray | float = 1.0) -> Callable[[Machine, float], Machine]:
@@ -136,89 +140,63 @@ def expected_signals(machines: Sequence[Machine], experiments: Sequence[Experime
     return signals
 
 
+def _flat(signals: Sequence[FloatArray]) -> FloatArray:
+    """Join the experiments of m machines, (m, n, 3) each, to (m, rows)."""
+    return np.concatenate([each.reshape(len(each), -1) for each in signals], axis=1)
+
+
 # ---- the fit -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem(EstimationProblem):
-    """Unknowns are the changes, then a delay of each experiment, a turn of the sensor and its gain, all linear."""
+class _Weighing:
+    """Inner products of signals in units of their noise, with the delay of each experiment fitted."""
 
-    machine: Machine
-    experiments: Sequence[Experiment]
-    changes: Sequence[Change]
-    unchanged: FloatArray  # (rows,) expected without a change
-    linear: FloatArray  # (rows, ·)
-    unknowns: Sequence[Unknown]
-    observations: Sequence[Observation]
+    def __init__(self, felt: Sequence[SensorSignal], noise: Sequence[FloatArray], clock_sd_s: Sequence[float]) -> None:
+        self.sd = np.concatenate(
+            [np.sqrt(DEPENDENT) * np.tile(n, len(f.acceleration)) for f, n in zip(felt, noise, strict=True)]
+        )
+        slopes = block_diag(*(np.gradient(each.acceleration, 1.0 / RATE_HZ, axis=0).reshape(-1, 1) for each in felt))
+        known = np.vstack([slopes / self.sd[:, None], np.diag(1.0 / np.array(clock_sd_s))])
+        self.late = np.linalg.qr(known)[0][: len(slopes)]
 
-    def changed(self, values: Iterable[float]) -> Machine:
-        """Return the machine with changes that are not zero."""
-        machine = self.machine
-        for change, value in zip(self.changes, values, strict=False):
-            machine = change.changed(machine, float(value)) if value else machine
-        return machine
-
-    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
-        """Simulate each different machine once."""
-        count = len(self.changes)
-        machines = {tuple(lane[:count]): self.changed(lane[:count]) for lane in lanes if lane[:count].any()}
-        signals = expected_signals(list(machines.values()), self.experiments) if machines else []
-        played = {key: np.concatenate([each[k].ravel() for each in signals]) for k, key in enumerate(machines)}
-        for lane in lanes:
-            yield played.get(tuple(lane[:count]), self.unchanged) + self.linear @ lane[count:]
-
-    def with_free(self, names: Container[str], prior: bool = False) -> _Problem:
-        """Hold all changes and the sensor at zero but those named; their priors are left out unless wanted."""
-        late = {each.name for each in self.experiments}
-        held = [
-            each if each.name in names or each.name in late else replace(each, low=0.0, high=0.0)
-            for each in self.unknowns
-        ]
-        wide = [each if prior or each.name in late else replace(each, sd=np.inf) for each in held]
-        return replace(self, unknowns=wide)
-
-
-def _problem(
-    machine: Machine,
-    experiments: Sequence[Experiment],
-    unchanged: Sequence[FloatArray],
-    signals: Sequence[SensorSignal],
-    then: Sequence[SensorSignal],
-) -> _Problem:
-    """Observe signals; delays, turn and gain are those of the sensor's signals of then."""
-    changes, felt = changes_of(machine), [each.acceleration for each in then]
-    slopes = block_diag(*(np.gradient(each, 1.0 / RATE_HZ, axis=0).reshape(-1, 1) for each in felt))
-    turned = np.concatenate([np.column_stack([each[:, 1], -each[:, 0], 0.0 * each[:, 2]]).ravel() for each in felt])
-    gained = np.concatenate([each.ravel() for each in felt])
-    late = [Unknown(each.name, sd=each.clock_sd_s) for each in signals]
-    return _Problem(
-        machine,
-        experiments,
-        changes,
-        np.concatenate([each.ravel() for each in unchanged]),
-        np.column_stack([slopes, turned, gained]),
-        [*(each.unknown for each in changes), *late, Unknown(TURN), Unknown(GAIN)],
-        [
-            Observation(each.acceleration.ravel(), DEPENDENT * np.tile(each.noise**2, len(each.acceleration)))
-            for each in signals
-        ],
-    )
+    def __call__(self, signals: FloatArray) -> FloatArray:
+        """Return the products (k, k) of signals (k, rows)."""
+        weighed = signals / self.sd
+        late = weighed @ self.late
+        return weighed @ weighed.T - late @ late.T
 
 
 def earlier_machine(machine: Machine, experiments: Sequence[Experiment], then: Sequence[SensorSignal]) -> Machine:
-    """Fit the printer of an earlier check, whose machine file is only near it."""
-    expected = expected_signals([machine], experiments)
-    signals = [each.less(each.silent, each.acceleration) for each in then]
-    problem = _problem(machine, experiments, expected, signals, then)
-    problem = problem.with_free({each.unknown.name for each in problem.changes if not each.special}, prior=True)
-    return problem.changed(fit(problem, np.zeros(len(problem.unknowns)), EARLIER).values)
+    """Fit the printer of an earlier check, whose machine file is only near it: small changes all at once."""
+    changes = [each for each in changes_of(machine) if not each.special]
+    noise = [np.hypot(each.noise, FROM_DAY_TO_DAY * each.size) for each in then]
+    products = _Weighing(then, noise, [each.clock_sd_s for each in then])
+    felt, values = np.concatenate([each.acceleration.ravel() for each in then]), np.zeros(len(changes))
+    sd, low, high = (np.array([getattr(each, key) for each in changes]) for key in ("sd", "low", "high"))
+    steps = np.where(high > 0.0, 0.1, -0.1) * sd
+    for _ in range(EARLIER_STEPS):
+        machines = [_changed(machine, changes, values + row) for row in np.vstack([0.0 * steps, np.diag(steps)])]
+        here, *moved = _flat(expected_signals(machines, experiments))
+        square = products(np.vstack([felt - here, *(each - here for each in moved)]))
+        normal = square[1:, 1:] / np.outer(steps, steps) + np.diag(sd**-2.0)
+        root = np.linalg.cholesky(normal)
+        right = np.linalg.solve(root, square[1:, 0] / steps - values / sd**2)
+        values = values + lsq_linear(root.T, right, (low - values - 1e-12, high - values + 1e-12)).x
+        values = np.clip(values, low, high)
+    return _changed(machine, changes, values)
+
+
+def _changed(machine: Machine, changes: Sequence[Change], values: FloatArray) -> Machine:
+    for change, value in zip(changes, values.tolist(), strict=True):
+        machine = change.changed(machine, value) if value else machine
+    return machine
 
 
 @dataclass(frozen=True)
 class Explanation:
     """One change, fitted to the difference."""
 
-    json_keys: ClassVar = keys("sd", "explains", "said", part="change.unknown.name", change="value", unit="change.unit")
+    json_keys: ClassVar = keys("sd", "explains", "said", part="change.name", change="value", unit="change.unit")
 
     change: Change
     value: float  # of the change's unit
@@ -252,78 +230,65 @@ class Difference:
 
 def compare(machine: Machine, experiments: Sequence[Experiment], pairs: Sequence[Pair]) -> Difference:
     """Explain what differs between today and then, by changes of the machine of then."""
-    base = expected_signals([machine], experiments)
-    differing = [now.less(then, felt[0]) for (now, then), felt in zip(pairs, base, strict=True)]
-    whole = _problem(machine, experiments, base, differing, [then for _, then in pairs])
-    names = [each.unknown.name for each in whole.changes]
-    here = fit(whole.with_free({*names, TURN, GAIN}), np.zeros(len(whole.unknowns)), DERIVATIVES)
-    rows = len(here.residual) / DEPENDENT
-
-    def freed(*free: str) -> FitResult[_Problem]:
-        """Return the derivatives with the other unknowns held at zero."""
-        problem = whole.with_free(free)
-        moves = np.array([each.high > each.low for each in problem.unknowns])
-        return replace(here, problem=problem, jacobian=here.jacobian * moves)
-
-    left = _best(freed())[1]
+    noise = [np.sqrt(now.noise**2 + then.noise**2 + (FROM_DAY_TO_DAY * now.size) ** 2) for now, then in pairs]
+    clocks = [float(np.hypot(now.clock_sd_s, then.clock_sd_s)) for now, then in pairs]
+    products = _Weighing([then for _, then in pairs], noise, clocks)
+    apart = np.concatenate([(now.acceleration - then.acceleration).ravel() for now, then in pairs])
+    rows, left = len(apart) / DEPENDENT, float(products(apart[None])[0, 0])
     changed = max(left - rows, 1e-9 * left)
+    tried = {each: [(0.0, 0.0 * apart)] for each in changes_of(machine)}
+    unchanged = _flat(expected_signals([machine], experiments))[0]
 
-    def explained(change: Change, at: FitResult[_Problem]) -> Explanation:
-        values, cost = _best(at)
-        k = names.index(change.unknown.name)
-        return Explanation(change, float(values[k]), float(np.sqrt(at.covariance[k, k])), (left - cost) / changed)
+    def simulate(wanted: Sequence[tuple[Change, float]]) -> None:
+        machines = [change.changed(machine, size) for change, size in wanted]
+        for (change, size), felt in zip(wanted, _flat(expected_signals(machines, experiments)), strict=True):
+            tried[change].append((size, felt - unchanged))
 
-    seen = np.linalg.norm(here.jacobian * here.sd[:, None], axis=0) * [each.step for each in whole.unknowns]
-    least = UNSEEN * float(np.linalg.norm(whole.unchanged))
-    felt = [each for each, moved in zip(whole.changes, seen.tolist(), strict=False) if moved > least]
-    begun = {each: freed(each.unknown.name) for each in felt}
-    differs = left > AS_NOISE**2 * rows
-    if differs:
-        begun |= _far(felt, begun, freed())
-    found = sorted((explained(each, at) for each, at in begun.items()), key=lambda each: -each.share)
-    if differs:
-        likely = [each for each in found[:TRIED] if each.share > WORTHWHILE * found[0].share]
-        for k, each in enumerate(likely):
-            start, problem = begun[each.change], whole.with_free({each.change.unknown.name})
-            jacobian = None if start.values.any() else start.jacobian
-            found[k] = explained(each.change, fit(problem, start.values, ONE_CHANGE, jacobian=jacobian))
-    turn, gain = _best(freed(TURN, GAIN))[0][-2:].tolist()
+    def explained() -> list[Explanation]:
+        found = []
+        for change, responses in tried.items():
+            value, sd, cost = _best_size(change, responses, apart, products)
+            found.append(Explanation(change, value, sd, (left - cost) / changed))
+        return sorted(found, key=lambda each: -each.share)
+
+    simulate(
+        [(each, size) for each in tried for size in np.clip(SIZES * each.sd, each.low, each.high).tolist() if size]
+    )
+    found = explained()
+    for _ in range(ROUNDS if left > AS_NOISE**2 * rows else 0):
+        simulate([(each.change, each.value) for each in found[:TRIED]])
+        found = explained()
+    felt = np.concatenate([then.acceleration for _, then in pairs])
+    turned = np.column_stack([felt[:, 1], -felt[:, 0], 0.0 * felt[:, 2]])
+    square = products(np.stack([apart, turned.ravel(), felt.ravel()]))
+    turn, gain = np.linalg.solve(square[1:, 1:], square[1:, 0])
     signal = np.sqrt(np.mean([now.size**2 for now, _ in pairs]))
-    apart = np.sqrt(np.mean([(now.size * share_apart(now, then.acceleration)) ** 2 for now, then in pairs]))
-    noise = np.sqrt(np.mean([np.mean(now.noise**2 + then.noise**2) for now, then in pairs]))
+    size = np.sqrt(np.mean([(now.size * share_apart(now, then.acceleration)) ** 2 for now, then in pairs]))
+    quiet = np.sqrt(np.mean([np.mean(now.noise**2 + then.noise**2) for now, then in pairs]))
     return Difference(
-        size=float(apart / signal),
-        noise=float(noise / signal),
+        size=float(size / signal),
+        noise=float(quiet / signal),
         times=float(np.sqrt(left / rows)),
         rows=rows,
-        explanations=tuple(sorted(found, key=lambda each: -each.share)),
+        explanations=tuple(found),
         turned_deg=float(np.rad2deg(turn)),
-        gain=gain,
-        sensor_share=(left - _best(freed(TURN, GAIN))[1]) / changed,
+        gain=float(gain),
+        sensor_share=float(square[0, 1:] @ [turn, gain]) / changed,
     )
 
 
-def _far(
-    changes: Sequence[Change], near: Mapping[Change, FitResult[_Problem]], here: FitResult[_Problem]
-) -> dict[Change, FitResult[_Problem]]:
-    """Simulate changes of several sizes, and return those that explain more than their derivatives do.
-
-    A sharp mode that has moved by its own width hardly shows in its derivative.
-    """
-    tried = list[tuple[Change, FloatArray]]()
-    for change in changes:
-        k, unknown = here.problem.changes.index(change), change.unknown
-        for size in np.clip(SIZES * unknown.sd, unknown.low, unknown.high).tolist():
-            tried.append((change, size * np.eye(len(here.values))[k]))
-    better, costs = dict[Change, FitResult[_Problem]](), {each: _best(near[each])[1] for each in changes}
-    simulated = here.problem.simulate([values for _, values in tried])
-    for (change, values), signals in zip(tried, simulated, strict=True):
-        there = replace(here, values=values, residual=here.problem.whitened(signals, here.sd))
-        if (cost := _best(there)[1]) < costs[change]:
-            better[change], costs[change] = there, cost
-    return better
-
-
-def _best(at: FitResult[_Problem]) -> tuple[FloatArray, float]:
-    """Return where the best step leads, (p,), and the cost there."""
-    return at.values + at.step(), at.cost - at.predicted_gain
+def _best_size(
+    change: Change, responses: Sequence[tuple[float, FloatArray]], apart: FloatArray, products: _Weighing
+) -> tuple[float, float, float]:
+    """Return the size whose interpolated response fits the difference best, its standard deviation, and the cost."""
+    nodes = dict(sorted(responses, key=lambda each: each[0]))
+    sizes = np.array(list(nodes))
+    weights = CubicSpline(sizes, np.eye(len(sizes)))
+    square = products(np.stack([apart, *nodes.values()]))
+    values = np.linspace(max(BEYOND * sizes[0], change.low), min(BEYOND * sizes[-1], change.high), 1001)
+    left = np.column_stack([np.ones(len(values)), -weights(values)])
+    costs = np.einsum("vi,ij,vj->v", left, square, left)
+    best = int(costs.argmin())
+    slope = weights(values[best], 1)
+    information = float(slope @ square[1:, 1:] @ slope)
+    return float(values[best]), max(information, 1e-300) ** -0.5, float(costs[best])

@@ -7,7 +7,7 @@ Motion is compared with motion. So all checks of one plan have their rows at the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -44,17 +44,6 @@ class SensorSignal:
     def size(self) -> float:
         """Root mean square, m/s², of all axes together."""
         return float(np.sqrt(np.mean(self.acceleration**2)))
-
-    @property
-    def silent(self) -> SensorSignal:
-        """The same without noise."""
-        return replace(self, noise=np.zeros(3))
-
-    def less(self, then: SensorSignal, plus: FloatArray) -> SensorSignal:
-        """Return what differs from an earlier signal, added to (n, 3) m/s², with the noise of the difference."""
-        noise = np.sqrt(self.noise**2 + then.noise**2 + (FROM_DAY_TO_DAY * self.size) ** 2)
-        clock = float(np.hypot(self.clock_sd_s, then.clock_sd_s))
-        return replace(self, acceleration=plus + self.acceleration - then.acceleration, noise=noise, clock_sd_s=clock)
 
 
 def share_apart(felt: SensorSignal, other: FloatArray) -> float:

@@ -107,7 +107,7 @@ def test_one_change_is_named_with_its_size(
 ) -> None:
     found = delta.check(delta.joined(delta_printer(**hidden), 3), history)
     assert found.verdict.finding == "changed", found.verdict.message
-    assert [each.change.unknown.name for each in found.verdict.named] == [part], found.verdict.message
+    assert [each.change.name for each in found.verdict.named] == [part], found.verdict.message
     assert found.verdict.named[0].value == pytest.approx(size, rel=0.1)
 
 
