@@ -36,7 +36,6 @@ from studies.render import RESULTS, ROOT, results_of, save
 from validation.independent import reader
 from validation.independent.checks import check, printer_of
 from validation.independent.play import JUDGED_S, contour
-from validation.sliced import PRINTS
 
 MACHINES = (  # the first whose pattern fits a file's name; a list of names: the first that the checkout knows
     ("v400_*", ("flsun-v400", "flsun-qqs")),
@@ -423,12 +422,6 @@ def kalico_sentence(hosts: list[dict[str, Any]]) -> str:
     return "Of these aims: " + "; ".join(told) + "."
 
 
-def slicer() -> str:
-    """Name the slicer's version, as it says it."""
-    told = subprocess.run(["prusa-slicer", "--help"], capture_output=True, text=True, check=False).stdout
-    return (re.search(r"PrusaSlicer-([\d.]+)", told) or ["", ""])[1]
-
-
 def digest(path: Path) -> str:
     """Return the first digits of a file's hash: which file it was."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
@@ -442,7 +435,7 @@ def main() -> None:
     parser.add_argument("--checkout", type=Path, default=ROOT)
     parser.add_argument("--machines", type=Path, help="folder of machine files; default: the checkout's library")
     parser.add_argument("--only", nargs="*", metavar="NAME", help="parts of names; short: a representative few")
-    parser.add_argument("--column", choices=("before", "after", "sliced"), default="after")
+    parser.add_argument("--column", choices=("before", "after"), default="after")
     parser.add_argument("--again", action="store_true", help="compensate again what WORK holds")
     parser.add_argument("--kept", action="store_true", help="measure nothing: only what WORK holds")
     parser.add_argument("--check-again", action="store_true", help="repeat the checks of what WORK holds")
@@ -479,8 +472,6 @@ def main() -> None:
     if asked.write:
         known = results_of("real_files") if (RESULTS / "real_files.json").exists() else {}
         column = {"version": version_of(checkout), "rows": rows, "summary": summary(rows)}
-        if asked.column == "sliced":
-            column |= {"about": {name: each.about for name, each in PRINTS.items()}, "slicer": slicer()}
         save("real_files", derived(known | {asked.column: column}))
 
 

@@ -125,7 +125,6 @@ def judged(text: bytes, machine: dict[str, Any], relative_e: bool = False) -> di
     nowhere = float(clock.lasts_s[travels[~written.known[travels]]].sum())
     lasts = host[:, 1:4].sum(axis=1)
     found["total_s"] = float(clock.begin_s[which[0]]) - nowhere + float(host[-1, 0] + lasts[-1] - host[0, 0])
-    found["own_clock_off_s"] = float(np.abs(clock.lasts_s[which] - lasts)[1:].max())
     return found | late_and_stops(text, written, printer, which, host)
 
 
@@ -158,17 +157,11 @@ def late_and_stops(
     speed = np.minimum(length[:-1] / asked[:-1], length[1:] / asked[1:])
     rests = on & ahead & (host[1:, 10] < STILL * speed) & ~_begins(lines, written.line[which[1:]])
     waits = on & (host[1:, 0] - host[:-1, 0] - lasts[:-1] > PAUSE_S) & ~_begins(lines, written.line[which[1:]])
-    worst = int(over.argmax())
     return {
         "segments": int(segment.sum()),
         "late_percent": 100.0 * float(late.sum() / max(segment.sum(), 1)),
         "late_s": float(over[late].sum()),
-        "late_worst_ms": float(over[worst]) * 1e3,
-        "late_worst_line": int(written.line[which[worst]]) + 1,
         "stops": int((rests | waits).sum()),
-        "stop_line": int(written.line[which[1:]][np.flatnonzero(rests | waits)[0]]) + 1
-        if (rests | waits).any()
-        else None,
     }
 
 

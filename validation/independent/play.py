@@ -46,7 +46,7 @@ def position(moves: Moves, clock: Times, t: FloatArray) -> FloatArray:
 def contour(
     before: bytes, after: bytes, machine: dict[str, Any], printer: Printer, firmware: str = "klipper"
 ) -> dict[str, float | None]:
-    """Contour error, rms and 99th percentile in µm, of the original and of the result."""
+    """Contour error, rms in µm, of the original and of the result."""
     relative = reader.relative_without_saying(before)
     read, written = (reader.read(text, printer.limits, firmware, relative) for text in (before, after))
     laid = laid_over(before.split(b"\n"), after.split(b"\n"))
@@ -67,7 +67,6 @@ def contour(
             found["judged_s"] = end - begin
         error = _apart(path, begins, t, nozzle) * 1e3
         found[f"judged_contour{key}_um"] = float(np.sqrt(np.mean(error**2)))
-        found[f"judged_contour{key}_p99_um"] = float(np.percentile(error, 99))
     return found
 
 

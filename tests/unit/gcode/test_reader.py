@@ -128,6 +128,11 @@ def test_a_frame_turns_places_back_into_the_numbers_of_the_file(
 # -- arcs --
 
 
+def test_gcode_offset_is_added_once() -> None:
+    program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
+    assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
+
+
 def test_a_helix_shares_height_and_filament_evenly() -> None:
     program = read("G1 X5 F600", "G3 X5 Y0 Z2 E4 I-5 J0")
     chords = program.moves.end[program.moves.line == 1]

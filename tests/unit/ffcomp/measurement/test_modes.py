@@ -56,7 +56,7 @@ def test_the_uncertainty_of_a_noisy_spectrum_is_true() -> None:
     frequency = np.arange(1, 90) * 1.5625
     ratio = frequency / 45.0
     smooth = (frequency / 50) ** 2 * (1 / ((1 - ratio**2) ** 2 + (0.2 * ratio) ** 2) + 0.2)
-    for _ in range(12):
+    for _ in range(8):
         found = fit_modes(frequency, smooth * generator.gamma(30, 1 / 30, len(frequency)))
         one = found.modes[0]
         scores.append((one.frequency_hz - 45.0) / one.frequency_sd_hz)
