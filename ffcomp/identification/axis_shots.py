@@ -192,7 +192,7 @@ def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
 
 def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Shots:
     rate = run.sample_rate_hz
-    length = max(round(seconds * rate), SHORTEST) if seconds and run.position else 0
+    length = max(round(min(seconds * rate, len(run.drive))), SHORTEST) if seconds and run.position else 0
     at = np.arange(0, len(run.drive), length) if length else np.zeros(1, dtype=int)
     begin = np.full((len(at), 4), np.nan)
     for column, name in ((0, "pos_q"), (2, "pos_motor")):

@@ -224,6 +224,23 @@ def _begin(x: State, at: FloatArray, drive: float, p: FloatArray) -> State:
     return q, v, q_load - stretch, v_load, strain, bent
 
 
+@inlined
+def _settled(state: float, at_rest: float, at_one: float, h: float) -> float:
+    """Return a state after h whose rate is linear in it: `at_rest` where it is zero, `at_one` where it is one."""
+    decay = at_rest - at_one
+    return state + h * at_rest if decay <= 0.0 else at_rest / decay + (state - at_rest / decay) * math.exp(-decay * h)
+
+
+@inlined
+def _remembered(x: State, v: float, h: float, p: FloatArray) -> State:
+    """Return the state h later, of an axis that moves as measured, at v: its friction alone remembers."""
+    strain, bent, ratio, bristles = x[STRAIN], x[BENT], v / p[CREEP], 1.0 / p[PRESLIDING]
+    hold, speed = p[HOLD], abs(ratio)
+    strain = _settled(strain, strain_rate(hold, ratio, speed, 0.0), strain_rate(hold, ratio, speed, 1.0), h)
+    bent = _settled(bent, bristle_rate(bristles, 0.0, v, 0.0), bristle_rate(bristles, 0.0, v, 1.0), h)
+    return x[Q], x[V], x[Q_LOAD], x[V_LOAD], strain, bent
+
+
 @compiled
 def integrate_axis(
     inputs: AxisInput, substeps: int, shot: int, begin: FloatArray, p: FloatArray, ripples: FloatArray
@@ -232,9 +249,9 @@ def integrate_axis(
 
     Parameters
     ----------
-    shot : samples from one beginning to the next; n or more: there is one.
+    shot : samples from one beginning to the next; n or more: there is one; 1: it moves as measured at every sample.
     begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where one
-        is unknown; the friction's strain continues.
+        is unknown; the friction's strain and bristles continue.
     p : in the order of `AXIS_PARAMETERS`.
     ripples : (k, 3) forces that repeat along the axis: of the sine and of the cosine, N, and rad/m.
 
@@ -255,7 +272,9 @@ def integrate_axis(
         out[i, 2] = rate[V_LOAD] if loaded else rate[V]
         out[i, 3] = x[V_LOAD] if loaded else x[V]
         out[i, 4] = _drive(x[Q], x[V], value, step / inputs.dt, p)[0]
-        for j in range(substeps if i < n - 1 else 0):
+        if shot == 1 and i < n - 1:
+            x = _remembered(x, 0.5 * (begin[i, 1] + begin[i + 1, 1]), inputs.dt, p)
+        for j in range(substeps if i < n - 1 and shot > 1 else 0):
             at, end = i + j / substeps, i + (j + 1) / substeps
             while end - at > ROUNDING:
                 part = min(end - at, _until_jump(inputs, at, p))
