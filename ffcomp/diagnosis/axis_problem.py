@@ -38,7 +38,7 @@ from models.printer.one_axis import axis_parameters, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
 OFFSET = "axis.offset_n"
-FORCE_OFFSET = 0.1  # of the force: error of a measured force's zero
+FORCE_OFFSET = 0.3  # of the force: a constant one, or the error of a sensor's zero, which no file states
 MOST_LINES = 6  # of a force that repeats along an axis
 MOST_PITCHES = 4  # where a search for a ripple begins
 KEPT = 6  # motions that are held
@@ -202,7 +202,8 @@ class ForceBalance(AxisProblem):
             )
             for one, force in zip(self.shots, forces, strict=True)
         ]
-        self.band_hz = band_of([replace(one, length=0) for one in self.shots])
+        high_hz = band_of([replace(one, length=0) for one in self.shots])[1]
+        self.band_hz = (0.0, high_hz)  # a force that hardly changes within a window is one too
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
         self.least_density, self._kept = {}, {}
 

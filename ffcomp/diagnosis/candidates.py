@@ -299,10 +299,16 @@ def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitc
     lines = range(len(pitches))
     amplitudes = tuple(_axis_amplitude(effect, p, scales, i) for i in lines for p in effect.amplitudes)
     names = [_full(effect, p, i) for i in lines for p in effect.shapes]
-    shapes = tuple(Parameter(n, p, 0.003 * p, 0.97 * p, 1.03 * p) for n, p in zip(names, pitches, strict=True))
+    shapes = tuple(_seen(n, p, 1e3 * scales.travel_m) for n, p in zip(names, pitches, strict=True))
     grid = (dict(zip(names, pitches, strict=True)),)
     probe = {a.name: PROBE * a.sd for a in amplitudes}
     return replace(candidate, other=Candidate(effect.name, amplitudes, probe, shapes, grid))
+
+
+def _seen(name: str, pitch: float, travel_mm: float) -> Parameter:
+    """Return the pitch of a line that was seen, which is known to half a period over the whole travel."""
+    low, high = (1 / (1 / pitch + side * 0.5 / travel_mm) for side in (1.0, -1.0))
+    return Parameter(name, pitch, (high - low) / 10, low, high)
 
 
 def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales, signals: Sequence[str]) -> Candidate:

@@ -87,6 +87,36 @@ def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() ->
     np.testing.assert_allclose(forwards, expected, atol=0.01)
 
 
+def test_bristles_bend_along_a_measured_motion_in_closed_form() -> None:
+    """From rest on at a steady speed v they hold F (1 − exp(−v t/z₀)), however coarse the samples are."""
+    rubbing = with_effects(MOTOR, {"bristle_friction": {"force_n": 0.3, "presliding_mm": 20.0}})
+    t = np.arange(400) / 200.0
+    place = 0.05 * t
+    runs = [AxisRun("a.csv", t, DAMPING * 0.05 + 0.0 * t, True, {}, {"pos_q": 1e3 * place}, {}, input="current")]
+    balance = AxisProblem(rubbing, runs, NAMES).balance()
+    assert balance is not None
+    needed = np.concatenate(balance.simulate({}))[:380, 0]
+    expected = DAMPING * 0.05 + 0.3 * (1 - np.exp(-place[:380] / 0.02))
+    np.testing.assert_allclose(needed[10:], expected[10:], atol=1e-6)
+
+
+def test_a_weight_is_named_although_it_hardly_changes_within_a_window() -> None:
+    """A slow arm lifts its weight: the mean force of each window shows it, beside friction that turns over at once."""
+    rng, t, runs = np.random.default_rng(5), np.arange(4000) / 400.0, []
+    for k, hertz in enumerate((0.11, 0.14)):
+        w = 2 * np.pi * hertz
+        q, v, a = np.sin(w * t + k), w * np.cos(w * t + k), -(w**2) * np.sin(w * t + k)
+        friction = 0.3 * np.tanh(v / 0.01) * (1 + 0.1 * np.sin(5 * q))
+        force = INERTIA * a + DAMPING * v + friction + 0.8 * np.sin(q) + 5e-3 * rng.normal(size=len(t))
+        place = 1e3 * q + 0.05 * rng.normal(size=len(t))
+        runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}, input="current"))
+    found = diagnose(AxisProblem(MOTOR, runs, ("pendulum_gravity", "coulomb_friction", "guide_damping")))
+    told = result_of(found.estimation.problem, found)
+    assert set(told.named) == {"pendulum_gravity", "coulomb_friction"}
+    assert told.effects["pendulum_gravity"]["force_n"] == pytest.approx(0.8, rel=0.03)
+    assert told.effects["coulomb_friction"]["force_n"] == pytest.approx(0.3, rel=0.1)
+
+
 def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itself() -> None:
     """Closed form: driving forwards takes 1/(1 - μ) of the rest, holding back 1/(1 + μ), whatever was measured."""
     quiet = turned(2, missing=False)
