@@ -22,7 +22,7 @@ from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.digits import um
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, clock
 from ffcomp.result import Result as VerbResult
 from ffcomp.simulation.forecast import NO_FORECAST, WAYS, Forecast
@@ -33,7 +33,6 @@ from models.file import machine_paths
 from models.machine import Machine, assumed_modes
 from models.schema.documents import DEFAULT_UNCERTAINTY
 
-SCHEMA = "ffcomp-compensate/1"
 LISTED = 12  # slowed places with a sentence of their own
 DIED = "A process that worked at it has died, perhaps for want of memory."
 
@@ -197,56 +196,40 @@ class Result:
             size=self.size + other.size,
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object of `compensate`."""
-        numbers = self.statistics
-        answer = {
-            "schema": SCHEMA,
-            "input": self.path,
-            "machine": self.machine,
-            "flavor": self.flavor.flavor,  # the dialect: klipper, marlin or reprapfirmware
-            "flavor_reason": self.flavor.reason,  # why, in a sentence
-            "offset_mm": self.placement.offset,  # list of numbers: two: by how much the print was moved, along x and y
-            "offset_reason": self.placement.reason,  # why, in a sentence
-            # true or false: whether the expected error over the machine file's `[uncertainty]` was minimised
-            "robust": self.robust.robust,
-            "robust_reason": self.robust.reason,  # why, in a sentence
-            # text or null: the firmware's own: off, kept, none or unknown; null: step timings, which cannot switch it
-            "input_shaper": self.shaper.state if self.shaper else None,
-            "input_shaper_reason": self.shaper.reason if self.shaper else "",  # a sentence
-            "print_time_s": numbers.print_time_s,  # of the compensated print, heating and macros not counted
-            "original_print_time_s": numbers.original_print_time_s,  # of the original, planned the same way
-            "compute_time_s": self.compute_time_s,  # that it took
-            **numbers.shares.to_dict(),
-            "settling": {
-                # whole number: waits until the ringing of what the firmware has moved by itself has died away
-                "times": numbers.settlings,
-                "seconds": numbers.settling_s,  # number [s]: that they take in all; counted in `print_time_s`
-            },
-            "moves": numbers.moves,  # whole number: of the original
-            "segments": numbers.segments,  # whole number: that were written; 0 with step timings
-            "size": {
-                "original": self.size.original,  # whole number [bytes]: G-code of the original, not packed
-                "written": self.size.written,  # whole number [bytes]: of the compensated print; 0 with step timings
-            },
-            "windows": numbers.windows,  # whole number: windows that were solved
-            # whole number: of them solved again because a limit was exceeded
-            "limited_windows": numbers.limited_windows,
-            "warnings": self.warnings,
-            "warning_lines": self.warning_lines,
-            "slowed": numbers.slowed,
-            **to_json(self.forecast),
-            **({} if self.faster is None else {"faster": self.faster}),
-            **(
-                {
-                    # true or false: of G-code: whether the file holds its original; false with `--no-embed`
-                    "original_embedded": self.embedded
-                }
-                if self.steps is None
-                else {"steps": self.steps}
-            ),
-        }
-        return dict(to_json(answer))
+    @property
+    def original_embedded(self) -> bool | None:
+        """Whether the G-code holds its original; None: step timings."""
+        return self.embedded if self.steps is None else None
+
+
+COUNTED = ("print_time_s", "original_print_time_s", "settlings", "settling_s", "moves", "segments", "windows")
+PRINT_KEYS = keys(
+    *("machine", "compute_time_s", "size", "faster", "steps", "original_embedded"),
+    flavor="flavor.flavor",
+    flavor_reason="flavor.reason",
+    offset_mm="placement.offset",
+    offset_reason="placement.reason",
+    robust="robust.robust",
+    robust_reason="robust.reason",
+    input_shaper="shaper.state",
+    input_shaper_reason="shaper.reason",
+    compensated_share="statistics.shares",
+    uncompensated="statistics.shares.by_cause",
+    predicted="forecast.tracks",
+    predicted_over_s="forecast.over_s",
+    expected="forecast.expected",
+    verdict="forecast.verdict",
+    **{name: f"statistics.{name}" for name in (*COUNTED, "limited_windows", "slowed")},
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintTimes:
+    """The times of one print of a file."""
+
+    name: str
+    print_time_s: float
+    original_print_time_s: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -270,7 +253,13 @@ class CompensatedFile(VerbResult):
     """
 
     title = "Compensated print"
-
+    schema = "ffcomp-compensate/1"
+    json_keys: ClassVar = keys(
+        *("already", "output", "warnings", "warning_lines"),
+        input="path",
+        prints="print_times",
+        **{key: f"whole.{path}" for key, path in PRINT_KEYS.items()},
+    )
     drawn_by: ClassVar = {"show": "ffcomp.report.show:compensation_figure"}
 
     path: str
@@ -401,34 +390,16 @@ class CompensatedFile(VerbResult):
             verb = "simulate" if result.steps else "show"
             yield f"Look at it: ffcomp {verb} {place}{machine_option(result.machine.path, verb)}"
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-compensate/1."""
-        if not self.prints:
-            return {
-                "schema": SCHEMA,
-                "input": self.path,  # the given path
-                "output": self.output,  # text or null: the written file; null with `--dry-run`
-                # text, may be missing: the file is compensated already: by what, in a sentence; nothing else is there
-                "already": self.already,
-            }
-        answer = {
-            **self.result.to_dict(),
-            # list of text, may be missing: every warning, and the first dozen of the places that became slower
-            "warnings": self.warnings,
-            # list of text, may be missing: the same for people: at most five lines, one for each cause, with what
-            # would avoid it
-            "warning_lines": self.warning_lines,
-        }
-        if len(self.prints) > 1:
-            answer["prints"] = [
-                {
-                    "name": name,  # of a container with several prints: each of them
-                    "print_time_s": one.statistics.print_time_s,
-                    "original_print_time_s": one.statistics.original_print_time_s,
-                }
-                for name, one in self.prints.items()
-            ]
-        return {**answer, "input": self.path, "output": self.output}
+    @property
+    def whole(self) -> Result | None:
+        """All prints together; None: the file was compensated already."""
+        return self.result if self.prints else None
+
+    @property
+    def print_times(self) -> list[PrintTimes]:
+        """The times of each print."""
+        counted = ((name, each.statistics) for name, each in self.prints.items())
+        return [PrintTimes(name, n.print_time_s, n.original_print_time_s) for name, n in counted]
 
 
 def percent(share: float) -> str:

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.time_scaling import TimeScaling
+from ffcomp.numerics.serialise import keys
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import BESIDE
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
@@ -53,6 +54,8 @@ class Place:
 @dataclass(frozen=True, slots=True)
 class Shares:
     """The compensated and the uncompensated part of the file's own moves."""
+
+    json_keys: ClassVar = keys("path", "filament")
 
     compensated: Amount = field(default_factory=Amount)
     left: Mapping[Place, Amount] = field(default_factory=dict)
@@ -95,16 +98,30 @@ class Shares:
         places = max(self.by_command().values(), key=lambda each: _size(sum(each.values(), Amount())))
         return (f"{shares}, and errors are stated for these alone: {_because(places)}",)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the keys of `compensate`'s JSON object."""
-        return {
-            "compensated_share": {
-                # number: 0 to 1, of all moves that the file makes by itself: what the nozzle travels
-                "path": self.path,
-                "filament": self.filament,  # number: of the filament pushed out along it
-            },
-            "uncompensated": [_command_dict(places) for places in self.by_command().values()],
-        }
+    @property
+    def by_cause(self) -> list[Uncompensated]:
+        """The uncompensated moves after each command."""
+        return [Uncompensated.of(places) for places in self.by_command().values()]
+
+
+@dataclass(frozen=True, slots=True)
+class Uncompensated:
+    """Moves that went out uncompensated after one command."""
+
+    line: int
+    command: str
+    places: int
+    worst_line: int
+    path_mm: float
+    filament_mm: float
+    seconds: float
+
+    @classmethod
+    def of(cls, places: Mapping[Place, Amount]) -> Uncompensated:
+        """Sum the places after one command."""
+        first, whole = next(iter(places)), sum(places.values(), Amount())
+        worst = _worst(places).line
+        return cls(first.line, first.command, len(places), worst, whole.path_mm, whole.filament_mm, whole.seconds)
 
 
 def _size(part: Amount) -> tuple[float, float]:
@@ -113,20 +130,6 @@ def _size(part: Amount) -> tuple[float, float]:
 
 def _worst(places: Mapping[Place, Amount]) -> Place:
     return max(places, key=lambda place: _size(places[place]))
-
-
-def _command_dict(places: Mapping[Place, Amount]) -> dict[str, Any]:
-    first, whole = next(iter(places)), sum(places.values(), Amount())
-    return {
-        "line": first.line,  # whole number: its first line in the input, from 1; 0: the beginning
-        # after this command the place of the nozzle was unknown; empty: since the file's beginning
-        "command": first.command,
-        "places": len(places),  # whole number: after how many such commands
-        "worst_line": _worst(places).line,  # whole number: the line after which the most of the path went out so
-        "path_mm": whole.path_mm,  # known length of these moves
-        "filament_mm": whole.filament_mm,
-        "seconds": whole.seconds,  # number [s]: that they take; counted in both print times
-    }
 
 
 def of_moves(moves: Moves) -> Amount:

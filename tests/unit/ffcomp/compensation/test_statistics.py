@@ -10,6 +10,7 @@ from ffcomp.compensation.statistics import (
     Shares,
     of_raw,
 )
+from ffcomp.numerics.serialise import to_json
 from gcode.reader import read_program
 
 HOME = (0.0, 0.0, 5.0)
@@ -25,7 +26,7 @@ def test_parts_add_up_by_place_and_command() -> None:
     assert lost[Place(3, "MACRO_A")] == pytest.approx((15.0, 1.0))
     assert lost[Place(8, "MACRO_A")] == pytest.approx((50.0**0.5, 0.0))
     assert lost[Place(6, "MACRO_B")] == pytest.approx((way**0.5, 9.0))
-    told = {each["command"]: each for each in shares.to_dict()["uncompensated"]}
+    told = {each["command"]: each for each in to_json(shares.by_cause)}
     assert (told["MACRO_A"]["line"], told["MACRO_A"]["places"], told["MACRO_A"]["worst_line"]) == (3, 2, 3)
     assert told["MACRO_A"]["path_mm"] == pytest.approx(15.0 + 50.0**0.5)
     assert shares.filament == pytest.approx(1 / 11)
