@@ -309,7 +309,7 @@ class CompensatedFile(VerbResult):
 
     @property
     def headline(self) -> str:
-        """What contour error to expect, or what was done."""
+        """What contour error to expect, or the work done."""
         if self.already:
             return self.already
         expected = self.result.forecast.expected
@@ -320,7 +320,7 @@ class CompensatedFile(VerbResult):
 
     @property
     def facts(self) -> Sequence[Fact]:
-        """Errors, times, and what was decided with its reason."""
+        """Errors, times, and the decisions with their reasons."""
         return [(name, value) for name, value in self._facts() if value] if self.prints else ()
 
     def _facts(self) -> Iterator[Fact]:

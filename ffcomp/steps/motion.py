@@ -1,7 +1,7 @@
 """A nozzle path in, a file of motion out, as it comes: what the module for Klipper's host plays.
 
 The file holds the command itself, not the steps: the host's own kinematics makes the steps of it, on whatever board.
-docs/reference/files.md has its bytes. Memory does not grow with the print.
+docs/reference/files.md has its header. Memory does not grow with the print.
 
 Knots lie on a grid and are equally far apart in time, so that of each coordinate only the second difference is kept:
 small whole numbers, whose bytes are sorted by their weight before `zlib` takes them. Other points (the ramps of an

@@ -19,12 +19,10 @@ import argparse
 import io
 import re
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -42,14 +40,12 @@ from ffcomp.report.drawing import Drawing, file_of, layout
 from models.file import load_machine
 from models.machine import Machine
 from tests.support import docs_runner
-from tests.support.browser import chromium, visit
 
 GALLERY = docs_runner.ROOT / "docs" / "gallery"
 DOCS = docs_runner.ROOT / "docs"
 WIDTH_PX, LARGEST_BYTES = 1000, 100_000
 COLOURS = (128, 96, 64, 48)  # the most that the size allows
-ROWS = "mzv,ei,2hump_ei"  # of the page that is photographed
-SETTLED_MS = 400  # until a page is drawn
+ROWS = "mzv,ei,2hump_ei"
 LIMIT_MM_PER_S2 = 2500.0  # of a carriage, for the picture of limits that bind
 LINES_HZ = np.arange(2.0, 125.1, 0.5)
 # What a tenth wrong is: softer belts and a heavier effector, both of which lower its resonances.
@@ -163,68 +159,6 @@ def compared(name: str) -> Image.Image:
     return Image.open("one.png")
 
 
-# ---- the page of compare -------------------------------------------------------------------------
-
-
-def page_1400_light() -> Image.Image:
-    """The answer and the table."""
-    return sections(compare_page(), "light", "#verdict", "#table")
-
-
-def page_1400_dark() -> Image.Image:
-    """The worst corners, and errors by layer and feature."""
-    return sections(compare_page(), "dark", "#close-up", "#errors-by-layer")
-
-
-def page_390_light() -> Image.Image:
-    """The answer, the table and a corner, as a telephone shows them."""
-    return screens(compare_page(), "light", "header", "#table", "#close-up")
-
-
-def page_390_dark() -> Image.Image:
-    """Errors by layer and feature, their spectrum, and the speeds."""
-    return screens(compare_page(), "dark", "#errors-by-layer", "#spectrum", "#equal-quality")
-
-
-@cache
-def compare_page() -> bytes:
-    ffcomp("compare", "print.gcode", "-m", "mp-delta-pro", "--only", ROWS, "--report", "page.html", "--quiet")
-    return Path("page.html").read_bytes()
-
-
-def sections(page: bytes, scheme: str, first: str, last: str) -> Image.Image:
-    """Show the page at 1400 pixels from the top of one section to the end of another."""
-    with opened(page, scheme, 1400, 900) as shown:
-        top, bottom = (shown.locator(each).bounding_box() for each in (first, last))
-        whole = Image.open(io.BytesIO(shown.screenshot(full_page=True)))
-    return whole.crop((0, int(top["y"]) - 16, whole.width, int(bottom["y"] + bottom["height"]) + 16))
-
-
-def screens(page: bytes, scheme: str, *tops: str) -> Image.Image:
-    """Show beside each other what a telephone shows when it is scrolled to each of these."""
-    with opened(page, scheme, 390, 844) as shown:
-        each = []
-        for top in tops:
-            shown.locator(top).evaluate("e => scrollTo(0, e.getBoundingClientRect().top + scrollY - 8)")
-            shown.wait_for_timeout(SETTLED_MS)
-            each.append(Image.open(io.BytesIO(shown.screenshot())))
-    gap = 16
-    image = Image.new("RGB", (sum(one.width + gap for one in each) - gap, each[0].height), "#808080")
-    for k, one in enumerate(each):
-        image.paste(one, (k * (one.width + gap), 0))
-    return image
-
-
-@contextmanager
-def opened(page: bytes, scheme: str, width: int, height: int) -> Iterator[Any]:
-    path = Path("shown.html").resolve()
-    path.write_bytes(page)
-    with chromium() as browser, visit(browser, path, width, height) as seen:
-        seen.page.emulate_media(color_scheme=scheme)
-        seen.page.wait_for_timeout(SETTLED_MS)
-        yield seen.page
-
-
 # ---- frf -----------------------------------------------------------------------------------------
 
 
@@ -330,10 +264,6 @@ MADE: dict[str, Callable[[], Image.Image]] = {
         show_limits,
         compare_methods,
         compare_close_up,
-        page_1400_light,
-        page_1400_dark,
-        page_390_light,
-        page_390_dark,
         frf_good,
         frf_noisy,
         frf_wrong_mode,
