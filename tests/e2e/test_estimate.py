@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.compensation import text_stream as times
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
@@ -25,10 +24,8 @@ from ffcomp.estimation.statistics import (
     WAITING,
     Statistics,
 )
-from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
-from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from models.file import load_machine
@@ -191,20 +188,6 @@ def test_progress_is_what_the_plan_of_the_file_has_left() -> None:
     elapsed = [(float(line[14:]), at_s) for line, at_s in told if line.startswith(b";TIME_ELAPSED:")]
     assert [at_s for _, at_s in elapsed] == pytest.approx([t for t, _ in elapsed], abs=0.3)
     assert len(elapsed) == 3 and elapsed[-1][0] < total_s
-
-
-def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> None:
-    from joblib import parallel_config
-
-    monkeypatch.setattr(reading, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=400))
-    monkeypatch.setattr(times, "IN_MEMORY", 100)
-    one, found = compensated(timed_print())
-    with parallel_config(backend="threading"):
-        two, _ = compensated(timed_print(), jobs=2)
-    assert one == two
-    text, total_s = timed()
-    assert found.print_time_s == pytest.approx(total_s)
-    assert [line for line in one.splitlines() if tells(line)] == [line for line in text.splitlines() if tells(line)]
 
 
 # -- the command --

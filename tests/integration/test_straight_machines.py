@@ -40,7 +40,7 @@ MODES = {  # frequency Hz, damping ratio, share
 HEAD = """format = "ffcomp-machine/1"
 name = "Straight"
 [kinematics]
-type = "{kind}"
+type = "corexy"
 x_range_mm = [-150.0, 150.0]
 y_range_mm = [-150.0, 150.0]
 z_range_mm = [-2.0, 300.0]
@@ -54,9 +54,8 @@ z_acceleration_mm_per_s2 = 500.0
 """
 
 
-def machine_text(kind: str = "corexy", rigid: bool = False, limits: str = "") -> str:
-    tables = [] if rigid else [_axis(name, found) for name, found in MODES.items()]
-    return HEAD.format(kind=kind, limits=limits, steps=STEPS) + "".join(tables)
+def machine_text(limits: str = "") -> str:
+    return HEAD.format(limits=limits, steps=STEPS) + "".join(_axis(name, found) for name, found in MODES.items())
 
 
 def _axis(name: str, found: list[tuple[float, float, float]]) -> str:
@@ -77,9 +76,7 @@ def print_text(layers: int = 6) -> bytes:
     return b";LAYER_CHANGE".join(whole.split(b";LAYER_CHANGE")[: layers + 1])
 
 
-def responded(
-    motion: Motion, axes: dict[str, list[tuple[float, float, float]]] = MODES
-) -> tuple[FloatArray, FloatArray]:
+def responded(motion: Motion) -> tuple[FloatArray, FloatArray]:
     """What the modes' sum makes of a motion: t (n,) s, nozzle (n, 3) mm. Exact for a command linear between samples."""
     t = np.arange(motion.begin_t, motion.end_t, STEP_S)
     command = motion.position(t)
