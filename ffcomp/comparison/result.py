@@ -17,7 +17,6 @@ from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
 FIGURES = ("close-up", "errors-by-layer", "errors-by-feature", "methods")
-QUALITY_FIGURES = ("equal-quality", "print-times")
 Family = Literal["none", "calibrated", "best fixed", "inversion"]
 
 
@@ -201,9 +200,9 @@ class Comparison(Result):
         return self.answer.next_steps
 
     def figures(self) -> list[str]:
-        """Return the names of the figures that `plot` draws; the last two where equal quality was sought."""
+        """Return the names of the figures that `plot` draws; the last one where equal quality was sought."""
         sought = any(method.equal_quality is not None for method in self.methods.values())
-        return [*FIGURES, *(QUALITY_FIGURES if sought else ())]
+        return [*FIGURES, *(["equal-quality"] if sought else [])]
 
     @missing_extras_explained()
     def plot(self, name: str = "methods", **options: Any) -> Any:

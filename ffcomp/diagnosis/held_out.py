@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.observations import Position, clustered
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.recording_clocks import clock_parameters
+from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray
 
 # an effect whose size differs a little from motion to motion, as dry friction does on another day (EMPS)
@@ -285,6 +287,8 @@ def _noise_power(estimation: EstimationProblem, members: Sequence[int]) -> float
 @dataclass(frozen=True)
 class OtherMotion:
     """A motion of an axis, simulated with what was fitted to the others; rms of errors as shares of its signals."""
+
+    json_keys: ClassVar = keys("after", "number", "changed", "refitted", recording="name", before="filed")
 
     name: str  # of its recording
     filed: float  # with the file as it is

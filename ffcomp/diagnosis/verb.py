@@ -164,17 +164,7 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "cut_short": result.cut_short,
         "to_do": what_to_do(result),
         "print_gain": None if gain is None else asdict(gain),
-        "other_motions": [
-            {
-                "recording": one.name,
-                "before": one.filed,
-                "after": one.after,
-                "number": one.number,
-                "changed": one.changed,
-                "refitted": one.refitted,
-            }
-            for one in result.others
-        ],
+        "other_motions": to_json(result.others),
         "compared": "forces" if result.forces else "signals",
         "gap": {
             "before": gap.before.nrms,

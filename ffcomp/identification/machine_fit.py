@@ -288,27 +288,7 @@ class ResonancesFit(MachineFit):
     @property
     def own(self) -> dict[str, Any]:
         """The keys of the method in the JSON object."""
-        spectra = [
-            {
-                "file": fit.source,
-                "signal": fit.signal,
-                "verdict": fit.verdict,
-                "misfit": fit.misfit,
-                "modes": [
-                    {
-                        "frequency_hz": mode.frequency_hz,
-                        "frequency_sd_hz": mode.frequency_sd_hz,
-                        "damping_ratio": mode.damping_ratio,
-                        "damping_ratio_sd": mode.damping_ratio_sd,
-                        "power": mode.power,
-                        "clear": mode.clear,
-                    }
-                    for mode in fit.modes
-                ],
-            }
-            for fit in self.spectra
-        ]
-        return {"spectra": spectra, **({} if self.started is None else {"numbers": self.started.estimates})}
+        return {"spectra": self.spectra, **({} if self.started is None else {"numbers": self.started.estimates})}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -25,8 +26,8 @@ from ffcomp.measurement.estimators import lines_of_dft
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modal import KAISER_BETA, WindowedPower, single_modes, slopes_of_modes
 from ffcomp.measurement.swept import SweptBand, cut_off, swept_band, swept_band_of_spectrum
-from ffcomp.measurement.vibration import read_vibration
 from ffcomp.numerics.least_squares import minimise
+from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
@@ -52,6 +53,8 @@ _SPARE_LINES = 12  # beyond the unknowns
 class Mode:
     """One resonance of a spectrum."""
 
+    json_keys: ClassVar = keys("frequency_hz", "frequency_sd_hz", "damping_ratio", "damping_ratio_sd", "power", "clear")
+
     frequency_hz: float
     frequency_sd_hz: float
     damping_ratio: float
@@ -69,6 +72,8 @@ class Mode:
 class ModeFit:
     """The modes of one spectrum, the strongest first, and the quality of the fit."""
 
+    json_keys: ClassVar = keys("signal", "verdict", "misfit", "modes", file="source")
+
     source: str
     signal: str
     modes: tuple[Mode, ...]
@@ -79,11 +84,6 @@ class ModeFit:
     verdict: str  # a sentence
     swept: SweptBand | None = None  # None: not known
     axis: str = ""  # excited, if known
-
-
-def modes_of(path: str | Path, signal: str | None = None) -> ModeFit:
-    """Fit the modes in a file of spectra or in a capture; see `modes_in`."""
-    return modes_in(read_vibration(path), signal)
 
 
 def modes_in(test: Capture | Resonances, signal: str | None = None, axis: str | None = None) -> ModeFit:

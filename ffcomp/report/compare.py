@@ -62,7 +62,6 @@ def drawings(comparison: Comparison) -> list[Drawing]:
     if any(method.equal_quality is not None for method in methods):
         bound = f"{comparison.quality_bound_um:g} µm"
         every.append(of("equal-quality", f"99 % within {bound} up to this acceleration", rows, QUALITY, _fastest))
-        every.append(of("print-times", "The whole print then takes", rows, QUALITY, _print_times))
     return every
 
 
@@ -167,32 +166,20 @@ def _errors(axes: Axes, comparison: Comparison) -> None:
     plain_decades(axes.xaxis)
 
 
-def _fastest(axes: Axes, comparison: Comparison) -> None:
-    _bars(axes, comparison, lambda quality: quality.acceleration_mm_per_s2, _highest)
-    axes.set_xlabel("mm/s²")
-
-
-def _print_times(axes: Axes, comparison: Comparison) -> None:
-    times = [m.equal_quality.print_time_s for m in comparison.methods.values() if m.equal_quality is not None]
-    unit_s, unit = (1, "seconds") if max(times, default=0.0) < 120 else (60, "minutes")
-    _bars(axes, comparison, lambda quality: quality.print_time_s / unit_s, lambda q: clock(q.print_time_s))
-    axes.set_xlabel(unit)
-
-
 def _highest(quality: EqualQuality) -> str:
     sign = "≥ " if quality.capped else "" if quality.reached else "< "
     return f"{sign}{quality.acceleration_mm_per_s2:,.0f}"
 
 
-def _bars(
-    axes: Axes, comparison: Comparison, value: Callable[[EqualQuality], float], text: Callable[[EqualQuality], str]
-) -> None:
+def _fastest(axes: Axes, comparison: Comparison) -> None:
     there = [(m, m.equal_quality) for m in comparison.methods.values() if m.equal_quality is not None]
     for k, (method, quality) in enumerate(there):
         look: dict[str, Any] = {"color": COLOURS[method.family]} if quality.reached else {"fill": False}
-        axes.barh(k, value(quality), edgecolor=COLOURS[method.family], height=0.7, **look)
-        axes.text(value(quality), k, f" {text(quality)}", va="center", fontsize=8)
-    axes.set_xlim(0, 1.35 * max(value(quality) for _, quality in there))
+        highest = quality.acceleration_mm_per_s2
+        axes.barh(k, highest, edgecolor=COLOURS[method.family], height=0.7, **look)
+        axes.text(highest, k, f" {_highest(quality)}, {clock(quality.print_time_s)}", va="center", fontsize=8)
+    axes.set_xlim(0, 1.7 * max(quality.acceleration_mm_per_s2 for _, quality in there))
+    axes.set_xlabel("mm/s²; then the whole print takes")
     axes.locator_params(axis="x", nbins=4)
     _rows(axes, comparison, [method for method, _ in there])
 

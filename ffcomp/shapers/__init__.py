@@ -5,38 +5,9 @@ and only then turned into carriage paths, as Klipper does on a delta: taking T̄
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
-from ffcomp.shapers.apply import Position, dominant_frequencies, shape
-from ffcomp.shapers.pulses import (
-    DAMPING_RATIO,
-    TOLERATED_VIBRATION,
-    Shaper,
-    ei,
-    mzv,
-    residual_vibration,
-    three_hump_ei,
-    two_hump_ei,
-    zv,
-    zvd,
-    zvdd,
-    zvddd,
-)
+from ffcomp.shapers.apply import dominant_frequencies, shape
+from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, ei, mzv, residual_vibration, three_hump_ei, zv
 from ffcomp.shapers.smooth import SHAPERS
 
-__all__ = [
-    "DAMPING_RATIO",
-    "SHAPERS",
-    "TOLERATED_VIBRATION",
-    "Position",
-    "Shaper",
-    "dominant_frequencies",
-    "ei",
-    "mzv",
-    "residual_vibration",
-    "shape",
-    "three_hump_ei",
-    "two_hump_ei",
-    "zv",
-    "zvd",
-    "zvdd",
-    "zvddd",
-]
+__all__ = ["DAMPING_RATIO", "SHAPERS", "Shaper"]
+__all__ += ["dominant_frequencies", "ei", "mzv", "residual_vibration", "shape", "three_hump_ei", "zv"]

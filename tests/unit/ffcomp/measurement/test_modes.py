@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import chirp, lfilter
 
-from ffcomp.measurement.modes import ModeFit, fit_modes, modes_of
+from ffcomp.measurement.modes import ModeFit, fit_modes, modes_in
+from ffcomp.measurement.vibration import read_vibration
 
 RATE = 1600.0
 
@@ -74,7 +75,7 @@ def test_a_motors_tone_is_told_from_a_mode() -> None:
 
 @cache
 def modes_in_file(path: Path) -> ModeFit:
-    return modes_of(path)
+    return modes_in(read_vibration(path))
 
 
 PEAKS = {  # Hz: the highest line of the shaken axis, by eye

@@ -9,8 +9,9 @@ import pytest
 from scipy.signal import chirp, lfilter
 
 from ffcomp.measurement.capture import Capture
-from ffcomp.measurement.modes import modes_of
+from ffcomp.measurement.modes import modes_in
 from ffcomp.measurement.swept import swept_band
+from ffcomp.measurement.vibration import read_vibration
 
 RATE = 800.0
 
@@ -54,8 +55,8 @@ def test_what_is_no_sweep_has_none() -> None:
 
 def test_the_end_of_a_sweep_is_no_resonance(tmp_path: Path) -> None:
     """14 of 14 captures that stopped at 50 Hz once got modes at 41 to 44 Hz."""
-    found = modes_of(write(tmp_path / "raw_data_x_a.csv", felt(50.0, 70.0)))
+    found = modes_in(read_vibration(write(tmp_path / "raw_data_x_a.csv", felt(50.0, 70.0))))
     assert found.modes == () and "No mode lies within the swept band" in found.verdict
     assert "sweep to 133 Hz" in found.verdict
-    below = modes_of(write(tmp_path / "raw_data_x_b.csv", felt(50.0, 30.0)))
+    below = modes_in(read_vibration(write(tmp_path / "raw_data_x_b.csv", felt(50.0, 30.0))))
     assert below.modes[0].frequency_hz == pytest.approx(30.0, rel=0.01)

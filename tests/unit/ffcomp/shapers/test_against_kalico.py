@@ -21,6 +21,7 @@ from ffcomp import shapers
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
+from ffcomp.shapers.apply import Position
 from ffcomp.shapers.smooth import USUAL
 from gcode.reader import read_program
 from models.arrays import constant
@@ -56,7 +57,7 @@ def program() -> bytes:
     return "\n".join(["G1 X60 Y-10 F12000", *circle, *rest.split("|"), ""]).encode()
 
 
-def planned() -> shapers.Position:
+def planned() -> Position:
     moves = read_program(program(), start=kalico.START_MM)
     stops, waits = stops_and_waits(moves)
     plan = plan_moves(moves.moves, LIMITS, stop_before=stops, wait_before=waits)
