@@ -16,7 +16,6 @@ import numpy as np
 
 from gcode.errors import GcodeError
 from gcode.program import FloatArray
-from models.compiled import kernel
 
 Point2 = tuple[float, float]
 
@@ -45,7 +44,13 @@ class Arc:
     @property
     def sweep(self) -> float:
         """Signed angle from start to end, rad, counter-clockwise positive; a full turn when they coincide."""
-        return _sweep(self.start, self.end, self.centre, self.clockwise)
+        turn = -1.0 if self.clockwise else 1.0
+        if _distance(self.start, self.end) < _SAME_POINT_MM:
+            return turn * tau
+        return turn * ((turn * (self._angle(self.end) - self._angle(self.start))) % tau)
+
+    def _angle(self, point: Point2) -> float:
+        return atan2(point[1] - self.centre[1], point[0] - self.centre[0])
 
     def chords(self, tolerance: float = ARC_TOLERANCE_MM, longest: float = MAX_CHORD_MM) -> FloatArray:
         """Return the ends of the chords.
@@ -54,48 +59,22 @@ class Arc:
         -------
         points : (n, 3), columns first axis mm, second axis mm, fraction of the arc (0, 1]
         """
-        return chords(self.start, self.end, self.centre, self.clockwise, tolerance, longest)
+        (first, last), sweep, begin = self.radii, self.sweep, self._angle(self.start)
+        radius = max(first, last)
+        angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
+        pieces = abs(sweep) / min(angle, _COARSEST_ANGLE), abs(sweep) * radius / longest
+        count = max(1, *(ceil(each - 1e-9) for each in pieces))
+        spiral = last - first if abs(last - first) <= _ROUNDING_MM else 0.0
+        points = []
+        for share in ((k + 1) / count for k in range(count)):
+            angle, radius = begin + sweep * share, first + spiral * share
+            points.append((self.centre[0] + radius * cos(angle), self.centre[1] + radius * sin(angle), share))
+        points[-1] = (*self.end, 1.0)
+        return np.array(points)
 
 
-@kernel
 def _distance(a: Point2, b: Point2) -> float:
     return hypot(b[0] - a[0], b[1] - a[1])
-
-
-@kernel
-def _sweep(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> float:
-    turn = -1.0 if clockwise else 1.0
-    if _distance(start, end) < _SAME_POINT_MM:
-        return turn * tau
-    begin = atan2(start[1] - centre[1], start[0] - centre[0])
-    finish = atan2(end[1] - centre[1], end[0] - centre[0])
-    return turn * ((turn * (finish - begin)) % tau)
-
-
-@kernel
-def chords(start: Point2, end: Point2, centre: Point2, clockwise: bool, tolerance: float, longest: float) -> FloatArray:
-    """See `Arc.chords`."""
-    first, last = _distance(centre, start), _distance(centre, end)
-    sweep = _sweep(start, end, centre, clockwise)
-    count = _chord_count(max(first, last), abs(sweep), tolerance, longest)
-    begin = atan2(start[1] - centre[1], start[0] - centre[0])
-    spiral = abs(last - first) <= _ROUNDING_MM
-    points = np.empty((count, 3))
-    for k in range(count):
-        share = (k + 1) / count
-        angle = begin + sweep * share
-        radius = first + (last - first) * share if spiral else first
-        points[k, 0] = centre[0] + radius * cos(angle)
-        points[k, 1] = centre[1] + radius * sin(angle)
-        points[k, 2] = share
-    points[-1, 0], points[-1, 1] = end
-    return points
-
-
-@kernel
-def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) -> int:
-    angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
-    return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
 
 
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
@@ -127,7 +106,6 @@ def _checked(arc: Arc, line: int | None) -> Arc:
     return arc
 
 
-@kernel
 def _allowance(radius: float) -> float:
     """Return how much shorter than half the chord a radius may be: rounding plus 1 % of the radius, at most 0.5 mm."""
     return min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * radius))

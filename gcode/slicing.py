@@ -115,26 +115,6 @@ def some(moves: Moves, which: slice | NDArray[np.bool_]) -> Moves:
     return Moves(**{each.name: getattr(moves, each.name)[which] for each in fields(Moves)})
 
 
-def part(program: Program, first: int, last: int) -> Program:
-    """Return the moves first..last-1 with their lines and the events between them; all frames are kept.
-
-    Neither `first` nor `last` may be a later chord of an arc.
-    """
-    moves = program.moves
-    begin = int(moves.line[first])
-    end = int(moves.line[last]) if last < len(moves) else len(program.lines)
-    moves_within = some(moves, slice(first, last))
-    a, b = (bisect_left(program.events, line, key=attrgetter("line")) for line in (begin, end))
-    return replace(
-        program,
-        lines=program.lines[begin:end],
-        moves=replace(moves_within, line=moves_within.line - begin),
-        events=shifted(program.events[a:b], -begin, -first),
-        first_line=program.first_line + begin,
-        limits=limits_in_effect(program, program.limits, a),
-    )
-
-
 def preamble(program: Program, move: int) -> bytes:
     """Return the lines that set the modes, offsets and feed in force before this move."""
     moves = program.moves

@@ -19,7 +19,7 @@ from gcode.dialects import detect_flavor
 from gcode.layers import Labels, labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
-from gcode.slicing import part, preamble
+from gcode.slicing import excerpt, preamble
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 
@@ -231,7 +231,7 @@ class Print:
         return PrintSlice(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature)
 
     def _part(self, first: int, last: int) -> PrintSlice:
-        planned = plan_program(part(self.program, first, last), self.machine)
+        planned = plan_program(excerpt(self.program, first, last), self.machine)
         x, y, z, _ = self.program.moves.start[first]
         return PrintSlice(
             machine=self.machine,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -23,7 +22,7 @@ from models.errors import MachineFileError, UnreachableError
 from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.base import Modes, Output
-from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
+from models.vibration.mode_map import kinds, numbers
 from models.vibration.substructures import command_frf, damping, with_added_mass
 
 Of = Literal["carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"]
@@ -345,7 +344,7 @@ class _Model:
         value = self.machine.vibration.frequency_response(xy, self.frequency_hz, self.view.answering, self.view.per)
         if not self.machine.vibration.position_dependent:
             return "anywhere", value, _straight_modes(self.machine.vibration.modes_at(xy))
-        return f"at ({xy[0]:g}, {xy[1]:g}) mm", value, _assembly_modes(self.machine, self._over_the_bed, xy)
+        return f"at ({xy[0]:g}, {xy[1]:g}) mm", value, _assembly_modes(self.machine, xy)
 
     def _carriage(self, _: FloatArray, mass: float) -> _Case:
         value = command_frf(with_added_mass(delta_vibration(self.machine).carriage, mass), self._s)[:, None, None]
@@ -357,20 +356,16 @@ class _Model:
         label = "with the arms' lower halves" if self.with_arms else "by itself"
         return label, value, _effector_modes(self.machine, self.with_arms)
 
-    @cached_property
-    def _over_the_bed(self) -> ModeMap:
-        return mode_map(delta_vibration(self.machine))
-
     @property
     def _s(self) -> ComplexArray:
         return np.asarray(2j * np.pi * self.frequency_hz, dtype=np.complex128)
 
 
-def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[NumberedMode, ...]:
+def _assembly_modes(machine: Machine, xy: FloatArray) -> tuple[NumberedMode, ...]:
     """Give modes the numbers they have over the whole bed, so that one number is one mode at every position."""
     modes = machine.vibration.modes_at(xy)
     each = zip(
-        numbers(delta_vibration(machine), over, xy, modes),
+        numbers(delta_vibration(machine), xy),
         modes.frequencies_hz.tolist(),
         modes.damping_ratios.tolist(),
         kinds(delta_vibration(machine), xy, modes),

@@ -10,7 +10,7 @@ import pytest
 from gcode.dialects import detect_flavor
 from gcode.program import Program
 from gcode.reader import read_program
-from gcode.slicing import part, preamble
+from gcode.slicing import excerpt, preamble
 from tests.support.data import PRINTS, real
 
 ROOT = Path(__file__).parents[3]
@@ -26,7 +26,7 @@ def whole_line(program: Program, move: int) -> int:
 def read_alone(program: Program, first: int, last: int) -> Program:
     """The part's text, read by itself, as the printer's own coordinates."""
     x, y, z, _ = program.moves.start[first]
-    text = preamble(program, first) + b"".join(part(program, first, last).lines)
+    text = preamble(program, first) + b"".join(excerpt(program, first, last).lines)
     return read_program(text, start=(x, y, z), flavor=detect_flavor(program.lines))
 
 
