@@ -26,16 +26,16 @@ modes of an axis are tuples, whose length is part of their type: each number of 
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels import record as r
-from models.printer.kernels.friction import guide_force, sliding_level
-from models.printer.kernels.motors import drive_of_axes, effective_stretch, rippled, torque
+from models.printer.kernels.friction import guide_force
+from models.printer.kernels.motors import command_at, drive_of_axes, effective_stretch, rippled, torque
 from models.printer.kernels.record import LANES, NO, ONE, ROWS, THREE, TWO, YES, ZERO, ActiveEffects, Row, Vector
-from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, inlined, power, unrolled, vector
+from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, inlined, unrolled, vector
 
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
 
@@ -116,14 +116,23 @@ def keep_motors(m: FloatArray, half: Row) -> None:
 def motors_at(m: FloatArray, half: Row, t: float, ripple: bool) -> None:
     """Evaluate the motors t seconds after the row whose cubics are loaded, for one of a step's three times."""
     for n in range(WIDTH):
-        a, b, c = at(m, r.CUBIC, n), at(m, r.CUBIC + 3, n), at(m, r.CUBIC + 6, n)
-        m[(MOTORS + 6 * half) * LANES + n] = ((a * t + b) * t + c) * t + at(m, r.CUBIC + 9, n)
-        m[(MOTORS + 6 * half + 3) * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+        place = (MOTORS + 6 * half) * LANES + n
+        m[place], m[place + 3 * LANES] = command_at(m, n, t)
     if ripple:
         for n in range(WIDTH):
             place = (MOTORS + 6 * half) * LANES + n
             more = rippled(m, n, m[place], m[place + 3 * LANES])
             m[place], m[place + 3 * LANES] = m[place] + more[0], m[place + 3 * LANES] + more[1]
+
+
+class Terms(NamedTuple):
+    """The terms that are compiled in."""
+
+    springs: bool
+    rubbing: bool
+    sticking: bool
+    swaying: bool
+    odd: bool  # sines and powers
 
 
 PerMode: TypeAlias = tuple[float, ...]  # one number a mode
@@ -240,63 +249,51 @@ def step_lanes(m: FloatArray, h: float, like: PerMode, has: ActiveEffects, sprin
     `swaying`, neither frame nor gantry moves, and modes do not depend on position. `like` has the length of an axis'
     modes.
     """
-    odd = has.torque_angle or has.powers  # sines and powers
+    odd = has.torque_angle or has.powers
     if odd and not (swaying or has.guides):
-        _steps(m, h, like, YES, NO, NO, NO, YES)
+        _steps(m, h, like, Terms(YES, NO, NO, NO, YES))
     elif odd:
-        _steps(m, h, like, YES, YES, YES, YES, YES)
+        _steps(m, h, like, Terms(YES, YES, YES, YES, YES))
     elif swaying and (springs or has.guides):
-        _steps(m, h, like, YES, YES, YES, YES, NO)
+        _steps(m, h, like, Terms(YES, YES, YES, YES, NO))
     elif swaying:
-        _steps(m, h, like, NO, NO, NO, YES, NO)
+        _steps(m, h, like, Terms(NO, NO, NO, YES, NO))
     elif has.sticking:
-        _steps(m, h, like, YES, YES, YES, NO, NO)
+        _steps(m, h, like, Terms(YES, YES, YES, NO, NO))
     elif has.guides:
-        _steps(m, h, like, YES, YES, NO, NO, NO)
+        _steps(m, h, like, Terms(YES, YES, NO, NO, NO))
     elif springs:
-        _steps(m, h, like, YES, NO, NO, NO, NO)
+        _steps(m, h, like, Terms(YES, NO, NO, NO, NO))
     else:
-        _steps(m, h, like, NO, NO, NO, NO, NO)
+        _steps(m, h, like, Terms(NO, NO, NO, NO, NO))
     for n in range(2 * WIDTH):
         m[MOTORS * LANES + n] = m[(MOTORS + 12) * LANES + n]
 
 
 @inlined
-def _steps(
-    m: FloatArray, h: float, like: PerMode, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
-) -> None:
+def _steps(m: FloatArray, h: float, like: PerMode, has: Terms) -> None:
     for l in range(min(len(m), LANES)):  # LANES, which the compiler is not to know: it would write each lane out
-        _step(m, l, h, like, springs, rubbing, sticking, swaying, odd)
+        _step(m, l, h, like, has)
 
 
 @inlined
-def _step(
-    m: FloatArray,
-    l: int,
-    h: float,
-    like: PerMode,
-    springs: bool,
-    rubbing: bool,
-    sticking: bool,
-    swaying: bool,
-    odd: bool,
-) -> None:
+def _step(m: FloatArray, l: int, h: float, like: PerMode, has: Terms) -> None:
     """Step one lane."""
     y = _axis(m, l, like), _axis(m, LANES + l, like), _axis(m, 2 * LANES + l, like), _sway(m, l)
-    k1 = _rates(m, y, ZERO, l, springs, rubbing, sticking, swaying, odd)
+    k1 = _rates(m, y, ZERO, l, has)
     _sample(m, l, ZERO, y[0], k1[0])
     _sample(m, l, ONE, y[1], k1[1])
     _sample(m, l, TWO, y[2], k1[2])
-    if swaying:
+    if has.swaying:
         _sample_sway(m, l, y, k1, like)
-    k2 = _rates(m, _moved(y, k1, 0.5 * h), ONE, l, springs, rubbing, sticking, swaying, odd)
-    k3 = _rates(m, _moved(y, k2, 0.5 * h), ONE, l, springs, rubbing, sticking, swaying, odd)
-    k4 = _rates(m, _moved(y, k3, h), TWO, l, springs, rubbing, sticking, swaying, odd)
+    k2 = _rates(m, _moved(y, k1, 0.5 * h), ONE, l, has)
+    k3 = _rates(m, _moved(y, k2, 0.5 * h), ONE, l, has)
+    k4 = _rates(m, _moved(y, k3, h), TWO, l, has)
     end = _moved(_moved(_moved(_moved(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     _put(m, l, end[0])
     _put(m, LANES + l, end[1])
     _put(m, 2 * LANES + l, end[2])
-    if swaying:
+    if has.swaying:
         _put_sway(m, l, end[3])
 
 
@@ -360,22 +357,20 @@ def _moved_axis(y: Axis, k: Axis, by: float) -> Axis:
 
 
 @inlined
-def _rates(
-    m: FloatArray, y: Axes, half: Row, l: int, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
-) -> Axes:
+def _rates(m: FloatArray, y: Axes, half: Row, l: int, has: Terms) -> Axes:
     """Evaluate the rates of one lane's axes with the motors at one half step."""
     a, b, c = l, LANES + l, 2 * LANES + l
     q = _driven(m, a, y[0][1]), _driven(m, b, y[1][1]), _driven(m, c, y[2][1])
     qd = _driven(m, a, y[0][2]), _driven(m, b, y[1][2]), _driven(m, c, y[2][2])
     u, ud = _mixed(m, r.motor_matrix, l, q), _mixed(m, r.motor_matrix, l, qd)
-    pull_a, pull_b = _pull(m, a, half, u[0], ud[0], springs, odd), _pull(m, b, half, u[1], ud[1], springs, odd)
-    pull_c = _pull(m, c, half, u[2], ud[2], springs, odd)
+    pull_a, pull_b = _pull(m, a, half, u[0], ud[0], has), _pull(m, b, half, u[1], ud[1], has)
+    pull_c = _pull(m, c, half, u[2], ud[2], has)
     drive = _mixed(m, r.axis_matrix, l, (pull_a[0], pull_b[0], pull_c[0]))
     rate = _mixed(m, r.axis_matrix, l, (pull_a[1], pull_b[1], pull_c[1]))
-    x = _axis_rate(m, a, q[0], y[0], drive[0], rate[0], qd[0], rubbing, sticking, swaying, odd)
-    y_rate = _axis_rate(m, b, q[0], y[1], drive[1], rate[1], qd[1], rubbing, sticking, swaying, odd)
-    z = _axis_rate(m, c, q[0], y[2], drive[2], rate[2], qd[2], rubbing, sticking, swaying, odd)
-    if not swaying:
+    x = _axis_rate(m, a, q[0], y[0], drive[0], rate[0], qd[0], has)
+    y_rate = _axis_rate(m, b, q[0], y[1], drive[1], rate[1], qd[1], has)
+    z = _axis_rate(m, c, q[0], y[2], drive[2], rate[2], qd[2], has)
+    if not has.swaying:
         return x, y_rate, z, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     forces = _dot(m, MODES + 3 * REACTION, a, x[2]), _dot(m, MODES + 3 * REACTION, b, y_rate[2])
     x, y_rate, z = _heavier(m, a, q[2], x), _heavier(m, b, q[2], y_rate), _heavier(m, c, q[2], z)
@@ -403,38 +398,23 @@ def _mixed(m: FloatArray, matrix: Row, l: int, x: Vector) -> Vector:
 
 
 @inlined
-def _pull(m: FloatArray, n: int, half: Row, q: float, qd: float, springs: bool, odd: bool) -> tuple[float, float]:
+def _pull(m: FloatArray, n: int, half: Row, q: float, qd: float, has: Terms) -> tuple[float, float]:
     """Return what one belt adds to w, and to ẇ less that of its driven point."""
     motor, motor_rate = at(m, MOTORS + 6 * half, n), at(m, MOTORS + 6 * half + 3, n)
-    if not springs:
+    if not has.springs:
         return motor + at(m, r.uneven, n) * (motor - q), motor_rate - qd
     stretch = effective_stretch(m, n, motor - q)
-    return drive_of_axes(m, n, motor, q, stretch, torque(m, n, stretch) if odd else stretch, motor_rate - qd)
+    return drive_of_axes(m, n, motor, q, stretch, torque(m, n, stretch) if has.odd else stretch, motor_rate - qd)
 
 
 @inlined
 def _axis_rate(
-    m: FloatArray,
-    n: int,
-    x: float,
-    y: Axis,
-    drive: float,
-    drive_rate: float,
-    qd: float,
-    rubbing: bool,
-    sticking: bool,
-    swaying: bool,
-    odd: bool,
+    m: FloatArray, n: int, x: float, y: Axis, drive: float, drive_rate: float, qd: float, has: Terms
 ) -> Axis:
     """Evaluate the rate of one axis: its modes, driven by w and ẇ − q̇_d, and its friction."""
     strain = 0.0
-    if rubbing:
-        level = at(m, r.dry, n)
-        if sticking:
-            squared = (qd * at(m, r.fading, n)) ** 2
-            faded = power(squared, at(m, r.fading_power, n)) if odd else squared
-            level = sliding_level(level, at(m, r.sticking, n), faded)
-        force, strain = guide_force(m, n, level, qd, y[0])
+    if has.rubbing:
+        force, strain = guide_force(m, n, qd, y[0], has.sticking, has.odd)
         drive -= force * at(m, COMPLIANCE, n)
-    more = _stiffer(m, n, x) if swaying else 0.0
+    more = _stiffer(m, n, x) if has.swaying else 0.0
     return strain, y[2], _forces(m, MODES, n, more, drive, drive_rate + qd, y[2], y[1])

@@ -6,7 +6,7 @@ import math
 
 from models.arrays import FloatArray
 from models.printer.kernels import record as r
-from models.printer.kernels.record import LANES, THREE
+from models.printer.kernels.record import LANES, NO, THREE, YES, ActiveEffects
 from models.printer.kernels.vectors import add, any_nonzero, at, compiled, dot, inlined, power, put, scale, tanh, vector
 
 MOST_STRAIN = 3.0  # φ_m
@@ -39,25 +39,18 @@ def guides_rub(m: FloatArray) -> bool:
 
 
 @inlined
-def guide_force(m: FloatArray, n: int, level: float, rate: float, state: float) -> tuple[float, float]:
+def guide_force(m: FloatArray, n: int, rate: float, state: float, sticking: bool, powers: bool) -> tuple[float, float]:
     """Return the force of a guide and the rate of its state: how far bristles are bent, or the strain."""
+    level = at(m, r.dry, n)
+    if sticking:
+        squared = (rate * at(m, r.fading, n)) ** 2
+        faded = power(squared, at(m, r.fading_power, n)) if powers else squared
+        level = sliding_level(level, at(m, r.sticking, n), faded)
     ratio, bristles = rate / at(m, r.creep, n), at(m, r.bristles, n)
     bending = bristle_rate(bristles, at(m, r.bristle_lag, n), rate, state)
     straining = strain_rate(at(m, r.hold, n), ratio, abs(ratio), state)
     bent = bristles > 0.0
     return level * (state if bent else tanh(ratio + state)), bending if bent else straining
-
-
-@compiled
-def stribeck(m: FloatArray, powers: bool) -> None:
-    """Evaluate ℓ with its Stribeck part near rest, exp −|q̇/v_s|^δ."""
-    for n in range(3 * LANES):
-        m[r.LEVEL * LANES + n] = (at(m, r.NOW + r.QD, n) * at(m, r.fading, n)) ** 2
-    if powers:
-        for n in range(3 * LANES):
-            m[r.LEVEL * LANES + n] = power(at(m, r.LEVEL, n), at(m, r.fading_power, n))
-    for n in range(3 * LANES):
-        m[r.LEVEL * LANES + n] = sliding_level(at(m, r.dry, n), at(m, r.sticking, n), at(m, r.LEVEL, n))
 
 
 @compiled
@@ -70,12 +63,22 @@ def has_powers(m: FloatArray) -> bool:
 
 
 @compiled
-def guide_friction(m: FloatArray) -> None:
+def guide_friction(m: FloatArray, has: ActiveEffects) -> None:
     """Evaluate the friction on the carriages, positive when they move up, and the rate of its state."""
+    if has.powers:
+        _guides(m, YES, YES)
+    elif has.sticking:
+        _guides(m, YES, NO)
+    else:
+        _guides(m, NO, NO)
+
+
+@inlined
+def _guides(m: FloatArray, sticking: bool, powers: bool) -> None:
     for n in range(3 * LANES):
-        force, rate = guide_force(m, n, at(m, r.LEVEL, n), at(m, r.NOW + r.QD, n), at(m, r.NOW + r.GUIDE, n))
-        m[r.GUIDES * LANES + n] = force
-        m[(r.RATE + r.GUIDE) * LANES + n] = rate
+        rate, state = at(m, r.NOW + r.QD, n), at(m, r.NOW + r.GUIDE, n)
+        force = guide_force(m, n, rate, state, sticking, powers)
+        m[r.GUIDES * LANES + n], m[(r.RATE + r.GUIDE) * LANES + n] = force
 
 
 @compiled

@@ -13,7 +13,7 @@ from models.printer.kernels.delta import (
     mass_along_arms,
     solve_carriages,
 )
-from models.printer.kernels.friction import guide_friction, guides_rub, has_powers, joint_friction, stribeck
+from models.printer.kernels.friction import guide_friction, guides_rub, has_powers, joint_friction
 from models.printer.kernels.motors import (
     Commands,
     belts,
@@ -45,10 +45,8 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
     motors(m)
     if has.torque_angle:
         torque_angle(m)
-    if has.sticking:
-        stribeck(m, has.powers)
     if has.guides:
-        guide_friction(m)
+        guide_friction(m, has)
     belts(m)
     arm_kinematics(m)
     if has.joints:
@@ -70,8 +68,6 @@ def fill_lanes(states: FloatArray, parameters: FloatArray) -> FloatArray:
             m[(r.NOW + n) * LANES + l] = states[l, n]
         for n in range(COUNT):
             m[(PRINTER + n) * LANES + l] = parameters[l, n]
-    for n in range(3 * LANES):
-        m[r.LEVEL * LANES + n] = m[r.dry * LANES + n]
     return m
 
 

@@ -106,16 +106,20 @@ def load_cubics(m: FloatArray, row: int, rows_back: Rows, cubics: FloatArray, ra
                 )
 
 
+@inlined
+def command_at(m: FloatArray, n: int, t: float) -> tuple[float, float]:
+    """Return one motor's command and its rate, t seconds after the beginning of its cubic."""
+    a, b, c = at(m, r.CUBIC, n), at(m, r.CUBIC + 3, n), at(m, r.CUBIC + 6, n)
+    return ((a * t + b) * t + c) * t + at(m, r.CUBIC + 9, n), (3.0 * a * t + 2.0 * b) * t + c
+
+
 @compiled
 def evaluate_command(m: FloatArray, elapsed: FloatArray) -> None:
     """Evaluate the command and its rate."""
     for n in range(3 * LANES):
         m[r.TIME * LANES + n] = elapsed[n]
     for n in range(3 * LANES):
-        t = at(m, r.TIME, n)
-        a, b, c = at(m, r.CUBIC, n), at(m, r.CUBIC + 3, n), at(m, r.CUBIC + 6, n)
-        m[r.COMMAND * LANES + n] = ((a * t + b) * t + c) * t + at(m, r.CUBIC + 9, n)
-        m[r.COMMAND_RATE * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+        m[r.COMMAND * LANES + n], m[r.COMMAND_RATE * LANES + n] = command_at(m, n, at(m, r.TIME, n))
 
 
 @compiled

@@ -104,14 +104,14 @@ COUNT = PARAMETERS.itemsize // 8
 BASE, NOW, RATE, SUM = np.arange(0, 4 * STATES, STATES)
 # Commands: time since each tower's cubic began, the cubics, highest power first, their values, and the cogging ripple.
 TIME, CUBIC, COMMAND, COMMAND_RATE, RIPPLE, RIPPLE_RATE = np.array([120, 123, 135, 138, 141, 144])
-# Passed from loop to loop in one evaluation, A B C: m, m/s; a belt's stretch and its effective part, m; ℓ, N; N; w.
-MOTOR, MOTOR_RATE, STRETCH, SPRING, LEVEL, GUIDES, PULL, CENTRIPETAL = np.arange(147, 171, 3)
+# Passed from loop to loop in one evaluation, A B C: m, m/s; a belt's stretch and its effective part, m; N; w.
+MOTOR, MOTOR_RATE, STRETCH, SPRING, GUIDES, PULL, CENTRIPETAL = np.arange(147, 168, 3)
 # X Y Z: m, m/s; relative to the ground, m/s²; N; f₀, N. ρ of the frame's two directions, m/s². J, column by column.
-X, XD, ACC, JOINTS, F0, RHO, J = np.arange(171, 192, 3)
+X, XD, ACC, JOINTS, F0, RHO, J = np.arange(168, 189, 3)
 # kg, mass along the arms in the carriages' equations: its diagonal, then rows A B, A C, B C.
-ARMS = 198
+ARMS = 195
 # The printer's parameters, in the order of `PARAMETERS`.
-PRINTER = 204
+PRINTER = 201
 ROWS = PRINTER + COUNT
 
 
