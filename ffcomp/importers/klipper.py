@@ -9,26 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ffcomp.importers.values import (
-    AXES,
-    TOWER_ANGLES_DEG,
-    ConfigValues,
-    PrinterConfigError,
-    Value,
-    arm_lengths,
-    changed,
-    converted,
-    decoded,
-    known,
-    least,
-    listed,
-    own_shaper,
-    plain_number,
-    print_radius,
-    shaped_axis,
-    together,
-    unsupported,
-)
+from ffcomp.importers import values as v
+from ffcomp.importers.values import AXES, TOWER_ANGLES_DEG, ConfigValues, PrinterConfigError, Value
 
 SAVED_HEAD = (
     "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n"
@@ -83,7 +65,7 @@ class KlipperConfig:
         if entry is None:
             return None
         name = f"[{section}] {option}"
-        return Value(plain_number(entry.text, f"{entry.place}: {name}", above=above), "read", f"{entry.place} {name}")
+        return Value(v.plain_number(entry.text, f"{entry.place}: {name}", above=above), "read", f"{entry.place} {name}")
 
     def _filled(self, option: Option, reference: re.Match[str], section: str) -> str:
         referred = (reference["section"] or section, reference["option"].lower())
@@ -99,7 +81,7 @@ def read_klipper(path: Path, alone: bool = False) -> KlipperConfig:
     Raises PrinterConfigError for a line that is neither a section nor an option, a file that includes itself, a damaged
     SAVE_CONFIG block.
     """
-    regular, head, block = decoded(path).partition(SAVED_HEAD)
+    regular, head, block = v.decoded(path).partition(SAVED_HEAD)
     config, saved = KlipperConfig(path.name, alone=alone), KlipperConfig(path.name, alone=alone)
     first_line = (regular + head).count("\n") + 1
     for line_number, line in enumerate(regular.split("\n"), 1):
@@ -179,7 +161,7 @@ def _include(pattern: str, place: str, source: Path, config: KlipperConfig, with
         if file.resolve() in within or config.files > MOST_FILES:
             rule = f"more than {MOST_FILES} files are included" if config.files > MOST_FILES else "includes itself"
             raise PrinterConfigError(f"{place}: [include {pattern}]: {file.name}: {rule}.")
-        _read(decoded(file), 1, file, config, (*within, file.resolve()))
+        _read(v.decoded(file), 1, file, config, (*within, file.resolve()))
 
 
 KINDS = {
@@ -206,10 +188,10 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
         remarks = "".join(f" {sentence}" for sentence in config.remarks)
         raise PrinterConfigError(f"{config.name}: the configuration gives no kinematics in [printer].{remarks}")
     if option.text not in KINDS:
-        raise unsupported(option.place, f"[printer] kinematics = {option.text!r}")
+        raise v.unsupported(option.place, f"[printer] kinematics = {option.text!r}")
     kind, origin = KINDS[option.text], f"{option.place} [printer] kinematics"
     of_kind = _delta(config) if kind == "delta" else _straight(config)
-    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
+    values = v.known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
     values |= _own_shaper(config)
     shaped = [_shaper_frequency(config, axis) for axis in AXES] if kind == "delta" else []
     shaper_hz = tuple(each.number for each in shaped if each is not None)
@@ -226,14 +208,14 @@ def _default(number: float, option: str) -> Value:
 def _delta(config: KlipperConfig) -> dict[str, Value | None]:
     radius = config.number("printer", "delta_radius", above=0)
     stated = config.number("printer", "print_radius", above=0)
-    stated = stated or changed(radius, float, "print_radius is not given, so it is the delta_radius")
+    stated = stated or v.changed(radius, float, "print_radius is not given, so it is the delta_radius")
     arms = _of_towers(config, "arm_length")
     return {
-        **arm_lengths(arms),
+        **v.arm_lengths(arms),
         "kinematics.delta_radius_mm": radius,
-        "kinematics.tower_angles_deg": listed(_towers(config)),
-        "kinematics.print_radius_mm": print_radius(stated, radius, least(arms)),
-        "kinematics.print_height_mm": least(_of_towers(config, "position_endstop")),
+        "kinematics.tower_angles_deg": v.listed(_towers(config)),
+        "kinematics.print_radius_mm": v.print_radius(stated, radius, v.least(arms)),
+        "kinematics.print_height_mm": v.least(_of_towers(config, "position_endstop")),
     }
 
 
@@ -263,7 +245,7 @@ def _straight(config: KlipperConfig) -> dict[str, Value | None]:
 def _range(config: KlipperConfig, section: str) -> Value | None:
     highest = config.number(section, "position_max")
     lowest = config.number(section, "position_min") or _default(0.0, "position_min")
-    return None if highest is None else listed([lowest, highest])
+    return None if highest is None else v.listed([lowest, highest])
 
 
 def _shaper_frequency(config: KlipperConfig, axis: str) -> Value | None:
@@ -289,7 +271,7 @@ def _own_shaper(config: KlipperConfig) -> dict[str, Value]:
             sources.append(frequency)
     commands = [" ".join(["SET_INPUT_SHAPER", *words])] if words else []
     unread = config.unread or bool(_shaper_macros(config))
-    return own_shaper(commands, sources, unread, "[input_shaper] sets no frequency: there is no shaper")
+    return v.own_shaper(commands, sources, unread, "[input_shaper] sets no frequency: there is no shaper")
 
 
 def _shaper_macros(config: KlipperConfig) -> list[str]:
@@ -306,7 +288,7 @@ def _shaped_axis(config: KlipperConfig, axis: str) -> dict[str, Value]:
     if frequency is None:
         return {}
     damping = config.number("input_shaper", f"damping_ratio_{axis}", above=0)
-    return shaped_axis(axis, frequency, damping or _default(DAMPING_RATIO, f"damping_ratio_{axis}"))
+    return v.shaped_axis(axis, frequency, damping or _default(DAMPING_RATIO, f"damping_ratio_{axis}"))
 
 
 # --- Limits and steps
@@ -327,8 +309,8 @@ def _limits(config: KlipperConfig) -> dict[str, Value | None]:
 def _steps(config: KlipperConfig, letters: str) -> dict[str, Value | None]:
     motors = [_motor(config, f"stepper_{motor}") for motor in letters]
     return {
-        "steps.steps_per_mm": together([steps for steps, _ in motors]),
-        "steps.full_steps_per_mm": together([full_steps for _, full_steps in motors]),
+        "steps.steps_per_mm": v.together([steps for steps, _ in motors]),
+        "steps.full_steps_per_mm": v.together([full_steps for _, full_steps in motors]),
         "steps.extruder_steps_per_mm": _motor(config, "extruder")[0],
     }
 
@@ -343,9 +325,9 @@ def _motor(config: KlipperConfig, section: str) -> tuple[Value | None, Value | N
     full_steps = (per_turn.number if per_turn else FULL_STEPS_PER_ROTATION) * _gear_ratio(config, section)
     sources = [each for each in (distance, per_turn, microsteps) if each is not None]
     rule = f"{full_steps:g} full steps for {distance.number:g} mm"
-    full_steps_per_mm = converted(full_steps / distance.number, rule, *sources[:-1])
+    full_steps_per_mm = v.converted(full_steps / distance.number, rule, *sources[:-1])
     steps_per_mm = full_steps / distance.number * microsteps.number
-    return converted(steps_per_mm, f"{rule}, {microsteps.number:g} microsteps each", *sources), full_steps_per_mm
+    return v.converted(steps_per_mm, f"{rule}, {microsteps.number:g} microsteps each", *sources), full_steps_per_mm
 
 
 def _motor_of_old_file(
@@ -355,11 +337,11 @@ def _motor_of_old_file(
     distance = config.number(section, "step_distance", above=0)
     if distance is None:
         return None, None
-    steps_per_mm = converted(1 / distance.number, "one step for each", distance)
+    steps_per_mm = v.converted(1 / distance.number, "one step for each", distance)
     if microsteps is None:
         return steps_per_mm, None
     rule = f"{microsteps.number:g} steps of {distance.number:g} mm for each full step"
-    return steps_per_mm, converted(1 / distance.number / microsteps.number, rule, distance, microsteps)
+    return steps_per_mm, v.converted(1 / distance.number / microsteps.number, rule, distance, microsteps)
 
 
 def _gear_ratio(config: KlipperConfig, section: str) -> float:
@@ -371,7 +353,7 @@ def _gear_ratio(config: KlipperConfig, section: str) -> float:
     pairs = [pair.split(":") for pair in option.text.split(",") if pair.strip()]
     if any(len(pair) != 2 for pair in pairs):
         raise PrinterConfigError(f"{place} = {option.text!r} must be pairs like 80:16 with commas between them.")
-    return math.prod(plain_number(up, place, above=0) / plain_number(down, place, above=0) for up, down in pairs)
+    return math.prod(v.plain_number(up, place, above=0) / v.plain_number(down, place, above=0) for up, down in pairs)
 
 
 # --- Settings that a machine file cannot hold

@@ -11,27 +11,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from ffcomp.importers.values import (
-    AXES,
-    Command,
-    ConfigValues,
-    PrinterConfigError,
-    Value,
-    all_listed,
-    arm_lengths,
-    changed,
-    commands,
-    converted,
-    decoded,
-    full_steps,
-    known,
-    least,
-    own_shaper,
-    plain_number,
-    shaped_axis,
-    together,
-    tower_angles,
-)
+from ffcomp.importers import values as v
+from ffcomp.importers.values import AXES, Command, ConfigValues, PrinterConfigError, Value
 
 LETTERS = {
     "M92": "XYZE",
@@ -58,19 +39,19 @@ def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
 
     Raises PrinterConfigError for a malformed number, inches, or unknown kinematics.
     """
-    text = decoded(path)
+    text = v.decoded(path)
     received = list(_received(text, path.name))
     settings = {key: value for command in received for key, value in _words(command)}
     notes = _fixed_time(received)
     kind, origin = _kinematics(settings, kinematics, path)
     limits = {**_limits(settings), **_steps(settings), **_planner(settings), **_own_shaper(settings, bool(notes))}
     if kind != "delta":
-        values = known({**_straight(settings, _places(text, path.name)), **limits})
+        values = v.known({**_straight(settings, _places(text, path.name)), **limits})
         return ConfigValues("Marlin", kind, origin, values, notes)
     note = "M503 does not state DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."
     frequencies = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
     shaper_hz = tuple(each.number for each in frequencies if each is not None and each.number > 0)
-    return ConfigValues("Marlin", kind, origin, known({**_delta(settings), **limits}), (note, *notes), shaper_hz)
+    return ConfigValues("Marlin", kind, origin, v.known({**_delta(settings), **limits}), (note, *notes), shaper_hz)
 
 
 def _received(text: str, name: str) -> Iterator[Command]:
@@ -78,7 +59,7 @@ def _received(text: str, name: str) -> Iterator[Command]:
     lines = text.split("\n")
     quiet = [bool(QUIET_MODE.search(before)) for before in ["", *lines[:-1]]]
     kept = ["" if SENT.search(line) or after_quiet else line for line, after_quiet in zip(lines, quiet, strict=True)]
-    return commands("\n".join(kept), name)
+    return v.commands("\n".join(kept), name)
 
 
 def _fixed_time(received: Iterable[Command]) -> tuple[str, ...]:
@@ -128,9 +109,9 @@ def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str
 
 def _delta(settings: Settings) -> dict[str, Value | None]:
     return {
-        **arm_lengths(_arms(settings)),
+        **v.arm_lengths(_arms(settings)),
         "kinematics.delta_radius_mm": settings["M665", "R"],
-        "kinematics.tower_angles_deg": tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
+        "kinematics.tower_angles_deg": v.tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
         "kinematics.print_height_mm": settings.get(("M665", "H")),
     }
 
@@ -142,7 +123,7 @@ def _arms(settings: Settings) -> list[Value | None]:
     if any(trim is None for trim in trims):
         return [rod] * 3
     return [
-        rod if trim is None or not trim.number else converted(rod.number + trim.number, "L plus the trim", rod, trim)
+        rod if trim is None or not trim.number else v.converted(rod.number + trim.number, "L plus the trim", rod, trim)
         for trim in trims
     ]
 
@@ -164,7 +145,7 @@ def _places(text: str, name: str) -> dict[str, Value]:
             continue
         place = f"{name}:{line_number}"
         ends = [
-            {each["axis"].lower(): plain_number(each["number"], place) for each in PLACE.finditer(match[end])}
+            {each["axis"].lower(): v.plain_number(each["number"], place) for each in PLACE.finditer(match[end])}
             for end in ("low", "high")
         ]
         if all(set(end) == set(AXES) for end in ends):
@@ -180,14 +161,14 @@ def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
         return {}
     default = Value(DAMPING_RATIO, "default", "M593 D is not given: the firmware's default")
     damping = settings.get((f"M593 {axis.upper()}", "D"), default)
-    return shaped_axis(axis, frequency, damping)
+    return v.shaped_axis(axis, frequency, damping)
 
 
 def _own_shaper(settings: Settings, unread: bool) -> dict[str, Value]:
     on = {axis: settings.get((f"M593 {axis}", "F")) for axis in "XYZ"}
     shaped = {axis: frequency for axis, frequency in on.items() if frequency is not None and frequency.number > 0}
     commands = [f"M593 {axis} F{frequency.number:.10g}" for axis, frequency in shaped.items()]
-    return own_shaper(commands, list(shaped.values()), unread, "M593 is not in the answer: there is no shaper")
+    return v.own_shaper(commands, list(shaped.values()), unread, "M593 is not in the answer: there is no shaper")
 
 
 # --- Limits and steps
@@ -195,9 +176,9 @@ def _own_shaper(settings: Settings, unread: bool) -> dict[str, Value]:
 
 def _limits(settings: Settings) -> dict[str, Value | None]:
     printing = ("M204", "P") if ("M204", "P") in settings else ("M204", "S")  # older firmwares use S
-    acceleration = least([settings.get(key) for key in (("M201", "X"), ("M201", "Y"), printing)])
+    acceleration = v.least([settings.get(key) for key in (("M201", "X"), ("M201", "Y"), printing)])
     return {
-        "limits.velocity_mm_per_s": least([settings.get(("M203", "X")), settings.get(("M203", "Y"))]),
+        "limits.velocity_mm_per_s": v.least([settings.get(("M203", "X")), settings.get(("M203", "Y"))]),
         "limits.acceleration_mm_per_s2": acceleration,
         "limits.square_corner_velocity_mm_per_s": _corner(settings, acceleration),
         "limits.z_velocity_mm_per_s": settings.get(("M203", "Z")),
@@ -209,7 +190,7 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
     """Return what Marlin's own planner needs, in its own terms."""
 
     def four(code: str) -> Value | None:
-        return all_listed([settings.get((code, axis)) for axis in "XYZE"])
+        return v.all_listed([settings.get((code, axis)) for axis in "XYZE"])
 
     both, shortest = settings.get(("M204", "S")), settings.get(("M205", "B"))
     planner = {
@@ -222,7 +203,7 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
         "jerk_mm_per_s": four("M205"),
         "lowest_speed_mm_per_s": settings.get(("M205", "S")),
         "lowest_travel_speed_mm_per_s": settings.get(("M205", "T")),
-        "shortest_segment_s": changed(shortest, lambda us: 1e-6 * us, "µs to s"),
+        "shortest_segment_s": v.changed(shortest, lambda us: 1e-6 * us, "µs to s"),
     }
     return {f"firmware.marlin.{key}": value for key, value in planner.items()}
 
@@ -231,18 +212,18 @@ def _corner(settings: Settings, acceleration: Value | None) -> Value | None:
     """Return the jerk of X or Y; or, of a junction deviation J, v² = J a / (√2 − 1) at a right angle."""
     deviation = settings.get(("M205", "J"))
     if deviation is None:
-        jerk = least([settings.get(("M205", "X")), settings.get(("M205", "Y"))])
-        return changed(jerk, float, "the jerk of one axis, as at a right angle between them")
+        jerk = v.least([settings.get(("M205", "X")), settings.get(("M205", "Y"))])
+        return v.changed(jerk, float, "the jerk of one axis, as at a right angle between them")
     if acceleration is None:
         return None
     speed = math.sqrt(max(deviation.number, 0.0) * acceleration.number / RIGHT_ANGLE)
-    return converted(round(speed, 3), "junction deviation at a right angle", deviation, acceleration)
+    return v.converted(round(speed, 3), "junction deviation at a right angle", deviation, acceleration)
 
 
 def _steps(settings: Settings) -> dict[str, Value | None]:
     steps, microsteps = ([settings.get((code, letter)) for letter in "XYZ"] for code in ("M92", "M350"))
     return {
-        "steps.steps_per_mm": together(steps),
-        "steps.full_steps_per_mm": together([full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
+        "steps.steps_per_mm": v.together(steps),
+        "steps.full_steps_per_mm": v.together([v.full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
         "steps.extruder_steps_per_mm": settings.get(("M92", "E")),
     }

@@ -11,30 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ffcomp.importers.values import (
-    AXES,
-    Command,
-    ConfigValues,
-    PrinterConfigError,
-    Value,
-    all_listed,
-    arm_lengths,
-    changed,
-    commands,
-    converted,
-    decoded,
-    full_steps,
-    known,
-    least,
-    listed,
-    own_shaper,
-    print_radius,
-    shaped_axis,
-    together,
-    tower_angles,
-    unsupported,
-    whole,
-)
+from ffcomp.importers import values as v
+from ffcomp.importers.values import AXES, Command, ConfigValues, PrinterConfigError, Value
 
 KINDS = {
     "0": "cartesian",
@@ -92,7 +70,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
         _apply(command, settings)
     kind, origin = settings.kinematics
     of_kind = _delta(settings) if kind == "delta" else _straight(settings)
-    values = known({**of_kind, **_limits(settings), **_planner(settings), **_steps(settings)}) | _own_shaper(settings)
+    values = v.known({**of_kind, **_limits(settings), **_planner(settings), **_steps(settings)}) | _own_shaper(settings)
     shaper = _shaper(settings) if kind == "delta" else None
     shaper_hz = () if shaper is None else (shaper.number,)
     tilts = [tilt for letter in "AB" if (tilt := settings.first("M666", letter)) is not None and tilt.number]
@@ -105,7 +83,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
 
 def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[Command]:
     """Yield the commands of a file and of those it runs."""
-    for command in commands(decoded(path), path.name):
+    for command in v.commands(v.decoded(path), path.name):
         if command.conditional and command.code in {*READ, "M98", "M501"}:
             settings.notes.append(f"{command.place}: this {command.code} stands under a condition and was not read.")
             settings.unread |= command.code in ("M98", "M501", "M593")
@@ -170,7 +148,7 @@ def _m92(command: Command, settings: Settings) -> None:
         steps = command.number(letter, above=0)
         if steps is not None and meant is not None:
             factor = _microsteps(settings, letter).number / meant.number
-            steps = converted(steps.number * factor, f"said for 1/{meant.number:g} steps", steps, meant)
+            steps = v.converted(steps.number * factor, f"said for 1/{meant.number:g} steps", steps, meant)
         if steps is not None:
             settings.steps_per_mm[letter] = steps
 
@@ -184,7 +162,7 @@ def _m350(command: Command, settings: Settings) -> None:
         ratio = new.number / _microsteps(settings, letter).number
         if letter in settings.steps_per_mm and ratio != 1:
             rule = f"M350 {letter} changed the microsteps afterwards"
-            settings.steps_per_mm[letter] = converted(
+            settings.steps_per_mm[letter] = v.converted(
                 settings.steps_per_mm[letter].number * ratio, rule, settings.steps_per_mm[letter], new
             )
         settings.microsteps[letter] = new
@@ -208,12 +186,12 @@ def _m669(command: Command, settings: Settings) -> None:
     if "K" in command.words:
         _set_kind(command, command.words["K"].lower(), settings)
     if ":" in command.words.get("X", "") + command.words.get("Y", ""):
-        raise unsupported(command.place, "this M669 gives a movement matrix")
+        raise v.unsupported(command.place, "this M669 gives a movement matrix")
 
 
 def _set_kind(command: Command, word: str, settings: Settings) -> None:
     if word not in KINDS:
-        raise unsupported(command.place, f"{command.code} selects {NAMES.get(word, word)} kinematics")
+        raise v.unsupported(command.place, f"{command.code} selects {NAMES.get(word, word)} kinematics")
     settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
 
 
@@ -230,10 +208,10 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
     of_towers = [*arms, *[arms[0]] * (3 - len(arms))] if arms else [None]  # towers without a length are as the first
     radius = settings.first("M665", "R")
     return {
-        **arm_lengths(of_towers),
+        **v.arm_lengths(of_towers),
         "kinematics.delta_radius_mm": radius,
-        "kinematics.tower_angles_deg": tower_angles([settings.first("M665", letter) for letter in "XYZ"]),
-        "kinematics.print_radius_mm": print_radius(settings.first("M665", "B"), radius, least(of_towers)),
+        "kinematics.tower_angles_deg": v.tower_angles([settings.first("M665", letter) for letter in "XYZ"]),
+        "kinematics.print_radius_mm": v.print_radius(settings.first("M665", "B"), radius, v.least(of_towers)),
         "kinematics.print_height_mm": settings.first("M665", "H"),
     }
 
@@ -244,7 +222,7 @@ def _straight(settings: Settings) -> dict[str, Value | None]:
     if frequency is not None:  # one for both axes
         default = Value(DAMPING_RATIO, "default", "M593 S is not given: the firmware's default")
         damping = settings.first("M593", "S") or default
-        values |= {**shaped_axis("x", frequency, damping), **shaped_axis("y", frequency, damping)}
+        values |= {**v.shaped_axis("x", frequency, damping), **v.shaped_axis("y", frequency, damping)}
     return values
 
 
@@ -253,7 +231,7 @@ def _range(settings: Settings, letter: str) -> Value | None:
     if "high" not in limits:
         return None
     low = limits.get("low", Value(0.0, "default", f"M208 gives no lowest {letter}: the firmware's default"))
-    return listed([low, limits["high"]])
+    return v.listed([low, limits["high"]])
 
 
 def _shaper(settings: Settings) -> Value | None:
@@ -267,18 +245,18 @@ def _own_shaper(settings: Settings) -> dict[str, Value]:
     words = {**settings.shaper, "P": f'"{settings.shaper["P"]}"'} if "P" in settings.shaper else settings.shaper
     commands = [" ".join(["M593", *(letter + text for letter, text in words.items())])] if frequency else []
     sources = [frequency] if frequency else []
-    return own_shaper(commands, sources, settings.unread, "M593 switches none on: there is no shaper")
+    return v.own_shaper(commands, sources, settings.unread, "M593 switches none on: there is no shaper")
 
 
 def _limits(settings: Settings) -> dict[str, Value | None]:
     def per_minute(code: str, letters: str) -> Value | None:
-        slowest = least([settings.first(code, letter) for letter in letters])
-        return changed(slowest, lambda speed: speed / 60, PER_MINUTE)
+        slowest = v.least([settings.first(code, letter) for letter in letters])
+        return v.changed(slowest, lambda speed: speed / 60, PER_MINUTE)
 
     accelerations = [settings.first("M201", "X"), settings.first("M201", "Y"), settings.first("M204", "P")]
     return {
         "limits.velocity_mm_per_s": per_minute("M203", "XY"),
-        "limits.acceleration_mm_per_s2": least(accelerations),
+        "limits.acceleration_mm_per_s2": v.least(accelerations),
         "limits.square_corner_velocity_mm_per_s": per_minute("M566", "XY"),
         "limits.z_velocity_mm_per_s": per_minute("M203", "Z"),
         "limits.z_acceleration_mm_per_s2": settings.first("M201", "Z"),
@@ -292,13 +270,13 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
         return [settings.first(code, axis) for axis in "XYZE"]
 
     planner = {
-        "speed_mm_per_s": all_listed(four("M203"), 1 / 60, PER_MINUTE),
-        "acceleration_mm_per_s2": all_listed(four("M201")),
-        "jerk_mm_per_s": all_listed(four("M566"), 1 / 60, PER_MINUTE),
+        "speed_mm_per_s": v.all_listed(four("M203"), 1 / 60, PER_MINUTE),
+        "acceleration_mm_per_s2": v.all_listed(four("M201")),
+        "jerk_mm_per_s": v.all_listed(four("M566"), 1 / 60, PER_MINUTE),
         "printing_acceleration_mm_per_s2": settings.first("M204", "P"),
         "travel_acceleration_mm_per_s2": settings.first("M204", "T"),
-        "jerk_policy": whole(settings.first("M566", "P")),
-        "queue_moves": whole(settings.first("M595", "P")),
+        "jerk_policy": v.whole(settings.first("M566", "P")),
+        "queue_moves": v.whole(settings.first("M595", "P")),
     }
     return {f"firmware.reprapfirmware.{key}": value for key, value in planner.items()}
 
@@ -307,7 +285,7 @@ def _steps(settings: Settings) -> dict[str, Value | None]:
     steps = [settings.steps_per_mm.get(letter) for letter in "XYZ"]
     microsteps = [_microsteps(settings, letter) for letter in "XYZ"]
     return {
-        "steps.steps_per_mm": together(steps),
-        "steps.full_steps_per_mm": together([full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
+        "steps.steps_per_mm": v.together(steps),
+        "steps.full_steps_per_mm": v.together([v.full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
         "steps.extruder_steps_per_mm": settings.steps_per_mm.get("E"),
     }

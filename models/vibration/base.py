@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -94,6 +94,24 @@ class ParameterSet:
             factor = max(1.0 + sd / p.power * float(deviates[p.column]), 0.0) ** p.power
             scaled[p.name] = p.value * max(factor, least)
         return scaled
+
+
+def number_at(part: object, name: str) -> Any:
+    """Return the number, or the array, at a path such as "drive.d0_per_s2"; KeyError if there is none."""
+    for key in name.split("."):
+        part = getattr(part, key, None)
+    if not isinstance(part, float | int | np.ndarray):
+        raise KeyError(name)
+    return part
+
+
+def with_numbers(part: Any, values: Mapping[str, Any]) -> Any:
+    """Return a part with the numbers at these paths replaced."""
+    inside: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        key, _, path = name.partition(".")
+        inside.setdefault(key, {})[path] = value
+    return replace(part, **{k: v[""] if "" in v else with_numbers(getattr(part, k), v) for k, v in inside.items()})
 
 
 class VibrationModel(ABC):

@@ -29,10 +29,9 @@ the kinetic energy is lower, m_f/6 (|Ẋ|² + Ẋ·ẑ q̇_i + q̇_i²). With th
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -40,7 +39,7 @@ import numpy as np
 from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
-from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
 from models.vibration.state_space import StateSpace
 from models.vibration.substructures import (
     Carriage,
@@ -70,7 +69,6 @@ CARRIAGE = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guid
 DRIVE = ("d0_per_s2", "d1_per_s", "d2_per_s")
 EFFECTOR = ("nozzle_mass_kg", "extruder_mass_kg")
 MOUNT = ("extruder_stiffness_n_per_m", "extruder_damping_n_s_per_m")
-NAME = re.compile(r"(?P<path>[\w.]+?)(\[(?P<index>\d)\])?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,17 +123,24 @@ class DeltaVibration(VibrationModel):
 
     def value(self, name: str) -> float:
         """Return one parameter, the mean where each tower has its own; KeyError if there is none of this name."""
-        path, index = _parsed(name)
-        part: Any = self
-        for key in path:
-            part = getattr(part, key, None)
-            if part is None:
-                raise KeyError(name)
-        return float(np.mean(part) if index is None else part[index])
+        path, _, index = name.removesuffix("]").partition("[")
+        number = number_at(self, path)
+        return float(number[int(index)] if index else np.mean(number))
 
     def with_parameters(self, values: Mapping[str, float]) -> DeltaVibration:
         """Return the model with some parameters replaced; KeyError for an unknown name."""
-        return _with(self, [(*_parsed(name), value) for name, value in values.items()])
+        changed: dict[str, Any] = {}
+        for name, value in values.items():
+            path, _, index = name.removesuffix("]").partition("[")
+            if index:
+                array = np.array(changed.get(path, number_at(self, path)), dtype=float)
+                array[int(index)] = value
+                changed[path] = constant(array)
+            else:
+                number_at(self, path)
+                changed[path] = float(value)
+        changed_model: DeltaVibration = with_numbers(self, changed)
+        return changed_model
 
     # ---- the equations
 
@@ -353,30 +358,3 @@ def _middle_and_rim(kinematics: DeltaKinematics) -> FloatArray:
 
 def _drive_parameters(drive: Drive) -> PrinterFields:
     return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}
-
-
-def _with(part: Any, changes: Sequence[tuple[Sequence[str], int | None, float]]) -> Any:
-    """Return a part with numbers replaced at these paths, of arrays at an index."""
-    changed: dict[str, Any] = {}
-    inside: dict[str, list[tuple[Sequence[str], int | None, float]]] = {}
-    for (key, *path), index, value in changes:
-        old = changed.get(key, getattr(part, key))
-        if path:
-            inside.setdefault(key, []).append((path, index, value))
-        elif index is None:
-            changed[key] = float(value)
-        else:
-            array = np.array(old, dtype=float)
-            array[index] = value
-            changed[key] = constant(array)
-    parts = {key: _with(getattr(part, key), below) for key, below in inside.items()}
-    return replace(part, **changed, **parts)
-
-
-@cache
-def _parsed(name: str) -> tuple[tuple[str, ...], int | None]:
-    match = NAME.fullmatch(name)
-    if match is None:
-        raise KeyError(name)
-    index = match["index"]
-    return tuple(match["path"].split(".")), None if index is None else int(index)

@@ -23,7 +23,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.quantities import Quantities
-from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
 from models.vibration.state_space import StateSpace
 
 PREFIX = "axis."
@@ -181,21 +181,14 @@ class DrivenAxis(VibrationModel):
 
     def value(self, name: str) -> float:
         """Return one of the file's numbers, `axis.mass_kg`; KeyError if there is none of this name."""
-        table: object = self
-        for part in name.removeprefix(PREFIX).split(".") if name.startswith(PREFIX) else (name,):
-            table = getattr(table, part, None)
-        if not isinstance(table, float | int):
-            raise KeyError(name)
-        return float(table)
+        return float(number_at(self, name.removeprefix(PREFIX)))
 
     def with_parameters(self, values: Mapping[str, float]) -> DrivenAxis:
         """Return the axis with some of its numbers replaced; KeyError for an unknown name."""
         for name in values:
             self.value(name)
-        plain = {name.removeprefix(PREFIX): float(x) for name, x in values.items()}
-        drive = {name.partition(".")[2]: x for name, x in plain.items() if "." in name}
-        of_axis = {name: x for name, x in plain.items() if "." not in name}
-        return replace(self, **of_axis, drive=replace(self.drive, **drive) if drive else self.drive)  # type: ignore[arg-type]
+        changed: DrivenAxis = with_numbers(self, {name.removeprefix(PREFIX): float(x) for name, x in values.items()})
+        return changed
 
     def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> DrivenAxis:
         """Return the axis with the spring at its end stiffer by the first of (3,)."""

@@ -97,12 +97,7 @@ class Schedule:
         self._exchanging = _exchanging(table.plant)
 
     def play(
-        self,
-        place: FloatArray,
-        centripetal: FloatArray,
-        command: FloatArray,
-        state: FloatArray,
-        substeps: int,
+        self, place: FloatArray, centripetal: FloatArray, command: FloatArray, state: FloatArray, substeps: int
     ) -> tuple[FloatArray, FloatArray]:
         """Compute the carriages under a command while the nozzle passes along its path.
 
@@ -120,9 +115,10 @@ class Schedule:
         """
         if self._coupled is None:
             p = self.table.plant
+            plant = p.a[0], p.b0[0], p.b1[0], len(place), substeps, state, command
             if self._exchanging:
-                return simulate_constant(p.carriage, p.a[0], p.b0[0], p.b1[0], len(place), substeps, state, command)
-            return simulate_oscillators(p.oscillators, p.a[0], p.b0[0], p.b1[0], len(place), substeps, state, command)
+                return simulate_constant(p.carriage, *plant)
+            return simulate_oscillators(p.oscillators, *plant)
         mechanics, drive = self._coupled
         grid = (self.table.x0_mm, self.table.pitch_mm, self.table.nodes)
         return simulate(mechanics, drive, *grid, place, substeps, state, command, centripetal)
@@ -166,12 +162,8 @@ def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
 def models_along(table: PlantTable, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return A (n, s, s), B₀, B₁ and B_f (n, s, 3) at the places (n, 2) mm of n intervals."""
     p, grid = table.plant, (table.x0_mm, table.pitch_mm, table.nodes, np.ascontiguousarray(place))
-    return (
-        interpolate(p.a, *grid),
-        interpolate(p.b0, *grid),
-        interpolate(p.b1, *grid),
-        interpolate(p.b_centripetal, *grid),
-    )
+    a, b0, b1, b_f = (interpolate(each, *grid) for each in (p.a, p.b0, p.b1, p.b_centripetal))
+    return a, b0, b1, b_f
 
 
 @kernel
@@ -183,38 +175,32 @@ def _corner(x: float, x0: float, pitch: float, nodes: int) -> tuple[int, float]:
 
 
 @kernel
+def _blend(table: FloatArray, x0: float, pitch: float, nodes: int, x: float, y: float, out: FloatArray) -> None:
+    """Interpolate rows of a table (nodes², e) bilinearly at one place, to out (e,)."""
+    i, fx = _corner(x, x0, pitch, nodes)
+    j, fy = _corner(y, x0, pitch, nodes)
+    at = i * nodes + j
+    w00, w01, w10, w11 = (1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy
+    for e in range(len(out)):
+        near, far = w00 * table[at, e] + w01 * table[at + 1, e], table[at + nodes, e]
+        out[e] = near + w10 * far + w11 * table[at + nodes + 1, e]
+
+
+@kernel
 def interpolate(table: FloatArray, x0: float, pitch: float, nodes: int, place: FloatArray) -> FloatArray:
     """Bilinear interpolation of matrices: table (nodes², r, c), place (n, 2) mm -> (n, r, c)."""
-    out = np.empty((len(place), table.shape[1], table.shape[2]))
+    rows, columns = table.shape[1], table.shape[2]
+    out, flat = np.empty((len(place), rows * columns)), table.reshape(len(table), rows * columns)
     for n in range(len(place)):
-        i, fx = _corner(place[n, 0], x0, pitch, nodes)
-        j, fy = _corner(place[n, 1], x0, pitch, nodes)
-        at = i * nodes + j
-        w00, w01, w10, w11 = (1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy
-        for r in range(table.shape[1]):
-            for c in range(table.shape[2]):
-                out[n, r, c] = (
-                    w00 * table[at, r, c]
-                    + w01 * table[at + 1, r, c]
-                    + w10 * table[at + nodes, r, c]
-                    + w11 * table[at + nodes + 1, r, c]
-                )
-    return out
+        _blend(flat, x0, pitch, nodes, place[n, 0], place[n, 1], out[n])
+    return out.reshape(len(place), rows, columns)
 
 
 @kernel
 def simulate(
-    mechanics: FloatArray,
-    drive: FloatArray,
-    x0: float,
-    pitch: float,
-    nodes: int,
-    place: FloatArray,
-    substeps: int,
-    state: FloatArray,
-    command: FloatArray,
-    centripetal: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    mechanics: FloatArray, drive: FloatArray, x0: float, pitch: float, nodes: int, place: FloatArray,
+    substeps: int, state: FloatArray, command: FloatArray, centripetal: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Run the scheduled plant over n intervals of `substeps` steps each.
 
     mechanics (nodes², 27, 12), drive (3, 8): see `_packed`.   place (n, 2) mm, of the intervals.
@@ -236,17 +222,7 @@ def simulate(
     for k in range(n):
         if not (abs(place[k, 0] - at_x) < SAME_MM and abs(place[k, 1] - at_y) < SAME_MM):
             at_x, at_y = place[k, 0], place[k, 1]
-            i, fx = _corner(at_x, x0, pitch, nodes)
-            j, fy = _corner(at_y, x0, pitch, nodes)
-            at = i * nodes + j
-            w00, w01, w10, w11 = (1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy
-            for e in range(len(entries)):
-                entries[e] = (
-                    w00 * flat[at, e]
-                    + w01 * flat[at + 1, e]
-                    + w10 * flat[at + nodes, e]
-                    + w11 * flat[at + nodes + 1, e]
-                )
+            _blend(flat, x0, pitch, nodes, at_x, at_y, entries)
         for _ in range(substeps):
             for c in range(3):
                 inputs[0, 6 + c], inputs[0, 9 + c] = command[step, c], command[step + 1, c]
@@ -267,15 +243,9 @@ def simulate(
 
 @kernel
 def simulate_constant(
-    carriage: FloatArray,
-    a: FloatArray,
-    b0: FloatArray,
-    b1: FloatArray,
-    n: int,
-    substeps: int,
-    state: FloatArray,
-    command: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    carriage: FloatArray, a: FloatArray, b0: FloatArray, b1: FloatArray,
+    n: int, substeps: int, state: FloatArray, command: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Run a plant (s, s) that is the same at every position, as `simulate_oscillators` does."""
     kept, knots, x = np.empty((n * substeps, 3)), np.empty((n + 1, len(state))), state.copy()
     knots[0] = state
@@ -289,15 +259,9 @@ def simulate_constant(
 
 @kernel
 def simulate_oscillators(
-    axes: IntArray,
-    a: FloatArray,
-    b0: FloatArray,
-    b1: FloatArray,
-    n: int,
-    substeps: int,
-    state: FloatArray,
-    command: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    axes: IntArray, a: FloatArray, b0: FloatArray, b1: FloatArray,
+    n: int, substeps: int, state: FloatArray, command: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Run uncoupled oscillators over n intervals of `substeps` steps each, the same at every position.
 
     axes (m,): of each pair of states.   a (2 m, 2 m), b0 b1 (2 m, 3): the discrete plant.   state (2 m,).

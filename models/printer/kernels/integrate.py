@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import FloatArray
+from models.printer.kernels import delta
 from models.printer.kernels import record as r
-from models.printer.kernels.delta import (
-    arm_kinematics,
-    effector_and_frame,
-    holder_forces,
-    mass_along_arms,
-    solve_carriages,
-)
 from models.printer.kernels.friction import guide_friction, guides_rub, has_powers, joint_friction
 from models.printer.kernels.motors import (
     Commands,
@@ -48,14 +42,14 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
     if has.guides:
         guide_friction(m, has)
     belts(m)
-    arm_kinematics(m)
+    delta.arm_kinematics(m)
     if has.joints:
         joint_friction(m)
-    holder_forces(m)
+    delta.holder_forces(m)
     if has.arms:
-        mass_along_arms(m)
-    solve_carriages(m)
-    effector_and_frame(m)
+        delta.mass_along_arms(m)
+    delta.solve_carriages(m)
+    delta.effector_and_frame(m)
 
 
 @compiled
@@ -107,11 +101,8 @@ def _step(m: FloatArray, row: int, half: int, h: float, commands: Commands, has:
 def _sample(m: FloatArray, sample: FloatArray) -> None:
     """Copy the motion to sample : (7, 3 LANES), in the order of `integrate`."""
     for n in range(3 * LANES):
-        sample[0, n], sample[1, n], sample[2, n] = (
-            at(m, r.NOW + r.Q, n),
-            at(m, r.NOW + r.QD, n),
-            at(m, r.RATE + r.QD, n),
-        )
+        sample[0, n], sample[1, n] = at(m, r.NOW + r.Q, n), at(m, r.NOW + r.QD, n)
+        sample[2, n] = at(m, r.RATE + r.QD, n)
         sample[3, n], sample[4, n], sample[5, n] = at(m, r.X, n), at(m, r.XD, n), at(m, r.ACC, n)
         sample[6, n] = at(m, r.MOTOR, n)
 
@@ -148,15 +139,9 @@ def store_state(m: FloatArray, l: int, states: FloatArray) -> None:
 
 @compiled
 def integrate(
-    states: FloatArray,
-    parameters: FloatArray,
-    cubics: FloatArray,
-    ranges: Rows,
-    first: int,
-    dt: float,
-    substeps: int,
-    units: FloatArray,
-) -> tuple[FloatArray, ...]:
+    states: FloatArray, parameters: FloatArray, cubics: FloatArray, ranges: Rows,
+    first: int, dt: float, substeps: int, units: FloatArray,
+) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate k printers, one in each lane, from row `first` of their commands to the last.
 
     Parameters

@@ -7,19 +7,9 @@ from typing import Any
 import numpy as np
 
 from models.arrays import FloatArray
+from models.printer.kernels import axes
 from models.printer.kernels import record as r
-from models.printer.kernels.axes import (
-    MOTION,
-    MOTORS,
-    WIDTH,
-    PerMode,
-    in_rows,
-    keep_motors,
-    keep_state,
-    motors_at,
-    step_lanes,
-    sways,
-)
+from models.printer.kernels.axes import MOTION, MOTORS, WIDTH, PerMode
 from models.printer.kernels.integrate import PAGE, active_effects, copy_page, fill_lanes
 from models.printer.kernels.motors import Commands, command_times, has_springs, read_command
 from models.printer.kernels.record import LANES, ONE, STATES, THREE, TWO, ZERO, Rows
@@ -37,40 +27,32 @@ def integrate_axes(
 
 @compiled
 def _integrate(
-    states: FloatArray,
-    modes: FloatArray,
-    like: PerMode,
-    parameters: FloatArray,
-    cubics: FloatArray,
-    ranges: Rows,
-    first: int,
-    dt: float,
-    substeps: int,
-    units: FloatArray,
-) -> tuple[FloatArray, ...]:
+    states: FloatArray, modes: FloatArray, like: PerMode, parameters: FloatArray, cubics: FloatArray, ranges: Rows,
+    first: int, dt: float, substeps: int, units: FloatArray,
+) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate; `like` has the length of an axis' modes."""
-    rows, m = ranges[:, 1] - ranges[:, 0] - first, in_rows(_filled(parameters), states, modes)
+    rows, m = ranges[:, 1] - ranges[:, 0] - first, axes.in_rows(_filled(parameters), states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    h, straight, springs, swaying = dt / substeps, not has.delay, has_springs(m), sways(m)
+    h, straight, springs, swaying = dt / substeps, not has.delay, has_springs(m), axes.sways(m)
     page, samples = np.empty((PAGE, 7, WIDTH)), _samples(len(states), rows.max(), swaying)
     copied = ZERO if swaying else THREE  # the first of the quantities that are not those of another
     for n in range(rows.max()):
         for l in range(len(states)):
             if n == rows[l] - 1:
-                keep_state(m, l, states)
+                axes.keep_state(m, l, states)
         read_command(m, first + n, ZERO, commands, has)
-        keep_motors(m, ZERO)
+        axes.keep_motors(m, ZERO)
         _sample_motors(m, page[n % PAGE])
         for step in range(substeps):
             if straight:
-                motors_at(m, ONE, (step + 0.5) * h, has.ripple)
-                motors_at(m, TWO, (step + 1) * h, has.ripple)
+                axes.motors_at(m, ONE, (step + 0.5) * h, has.ripple)
+                axes.motors_at(m, TWO, (step + 1) * h, has.ripple)
             else:
                 for ahead in range(1, 3):
                     read_command(m, first + n, 2 * step + ahead, commands, has)
-                    keep_motors(m, ahead)
-            step_lanes(m, h, like, has, springs, swaying)
+                    axes.keep_motors(m, ahead)
+            axes.step_lanes(m, h, like, has, springs, swaying)
             if step == 0:
                 _sample_motion(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
