@@ -12,7 +12,7 @@ import pytest
 from ffcomp.compensation.job import Job, Options
 from ffcomp.errors import NothingToDo
 from gcode.errors import GcodeError
-from tests.e2e.test_files import ODD, OFFSETS, REAL, needs_data
+from tests.e2e.test_odd_files import ODD, OFFSETS, REAL, needs_data
 from tests.fuzz.test_random_programs import compensated, inverter
 from validation.invariants import told_apart, violations
 

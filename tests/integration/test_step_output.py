@@ -84,7 +84,7 @@ def test_compensated_steps_are_the_command(
     assert np.mean(beyond) < 0.002
     ends = [start_t + spacing_s * (len(vertices) - 1) for start_t, spacing_s, vertices, _ in seen]
     assert ends[-1] - BEFORE_S == pytest.approx(result.statistics.print_time_s, abs=1e-9)
-    assert result.to_dict()["predicted"]["compensated"]["contour_rms_um"] > 0
+    assert result.predicted["compensated"].contour_rms_um > 0
 
 
 def test_every_other_line_has_its_moment(machine: Machine, tmp_path: Path) -> None:

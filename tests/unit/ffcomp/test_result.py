@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import pytest
+
+from ffcomp import errors
+from ffcomp.errors import interrupts_restored
+from ffcomp.importers.values import PrinterConfigError
 from ffcomp.numerics.serialise import keys
 from ffcomp.result import Answer, Result
 from ffcomp.serve.answers import answer_of
+from ffcomp.steps.archive import StepsError
+from gcode.errors import GcodeError, UnsupportedGcode
+from models.errors import MachineFileError, UnreachableError
 
 HEADLINE, FACT, WARNING, STEP = "2 < 3 µm.", ("Print time", "1.0 s"), "It may be off.", "Measure."
 
@@ -50,3 +59,25 @@ def test_the_page_leaves_commands_out_and_findings_in() -> None:
     assert list(shown.facts) == [("Against none", "ffcomp makes this print worse.")]
     assert list(shown.warnings) == ["Modes are assumed.", "Give --known mass=1."]  # no warning is lost
     assert list(shown.next_steps) == ["Print it.", "Measure the machine: see Know my machine."]
+
+
+# ---- errors ----
+
+
+ELSEWHERE = [PrinterConfigError, StepsError, GcodeError, UnsupportedGcode, MachineFileError, UnreachableError]
+OURS = [each for each in vars(errors).values() if isinstance(each, type) and each.__module__ == "ffcomp.errors"]
+
+
+def test_the_tree_names_every_error_with_its_exit_code() -> None:
+    drawn = dict(re.findall(r"(\w+) +(\d)  ", errors.__doc__ or ""))
+    known = {each.__name__: str(each.exit_code) for each in {*OURS, *ELSEWHERE}}
+    assert drawn == {**known, "OSError": "2"}
+
+
+@pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), SystemExit(143)], ids=["Ctrl-C", "SIGTERM"])
+def test_an_interrupt_that_compiled_code_has_wrapped_comes_out_as_itself(interrupt: BaseException) -> None:
+    unpickled, simulated = SystemError("<_numba_unpickle> …"), SystemError("<simulate> returned a result …")
+    unpickled.__cause__, simulated.__cause__ = interrupt, unpickled
+    with pytest.raises(type(interrupt)) as caught, interrupts_restored():
+        raise simulated
+    assert caught.value is interrupt

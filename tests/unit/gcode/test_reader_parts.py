@@ -6,7 +6,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import cache
+from dataclasses import replace
+from functools import cache, reduce
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from gcode.dialects import detect_flavor
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
 from gcode.reader import read_parts, read_program
+from gcode.slicing import excerpt, join, portions, preamble
 from tests.support.data import PRINTS, real
 
 ROOT = Path(__file__).parents[3]
@@ -143,3 +146,89 @@ def test_memory_stays_flat_over_30_megabytes() -> None:
     lines, growth = map(int, answer.stdout.split())
     assert lines > 750_000
     assert growth * (1 if sys.platform == "darwin" else 1024) < 30e6  # Linux counts in KiB
+
+
+# ---- slicing preamble ----
+
+
+def whole_line(program: Program, move: int) -> int:
+    while program.moves.line[move] == program.moves.line[move - 1]:
+        move += 1
+    return move
+
+
+def read_alone(program: Program, first: int, last: int) -> Program:
+    """The part's text, read by itself, as the printer's own coordinates."""
+    x, y, z, _ = program.moves.start[first]
+    text = preamble(program, first) + b"".join(excerpt(program, first, last).lines)
+    return read_program(text, start=(x, y, z), flavor=detect_flavor(program.lines))
+
+
+def assert_same_way(alone: Program, program: Program, first: int, last: int) -> None:
+    assert len(alone.moves) == last - first
+    for column in ("start", "end"):
+        mine, theirs = getattr(alone.moves, column), getattr(program.moves, column)[first:last]
+        np.testing.assert_allclose(mine[:, :3], theirs[:, :3], atol=1e-6)
+    filament = alone.moves.end[:, 3] - alone.moves.start[:, 3]
+    np.testing.assert_allclose(filament, (program.moves.end - program.moves.start)[first:last, 3], atol=1e-6)
+    np.testing.assert_allclose(alone.moves.speed, program.moves.speed[first:last], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", [*SAMPLES, *PRINTS])
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_the_middle_of_real_prints_read_alone_goes_the_same_way(name: str, share: float) -> None:
+    data = (ROOT / "sample_prints" / name).read_bytes() if name in SAMPLES else real(name)
+    program = read_program(data, name)
+    count = len(program.moves)
+    first, last = (whole_line(program, int(at * count)) for at in (share, share + 0.05))
+    assert_same_way(read_alone(program, first, last), program, first, last)
+
+
+# ---- slicing ----
+
+
+MANY_FRAMES = b"G90\nM82\nG1 X0 Y0 Z1 F1200\n" + b"".join(
+    b"G1 X%d E%d F%d\n;between\nG92 E0\nG1 E-1 F600\n" % (k % 50, k % 7 + 1, 1000 + k) for k in range(100)
+)
+ARC = b"G90\nG1 X10 Y0 Z1 F1200\n;before\nG2 X-10 Y0 I-10 J0\n;after\nG1 X0\n"
+
+
+def said_of_slicing(program: Program) -> list[object]:
+    """All that a program says of its moves and events, whatever the numbers of its frames."""
+    moves = [(program.lines[a], *b, program.frames[c]) for a, b, c in _rows(program)]
+    return [*moves, *((program.lines[e.line], e.kind, program.frames[e.frame]) for e in program.events)]
+
+
+def _rows(program: Program) -> list[tuple[int, tuple[float, ...], int]]:
+    moves = program.moves
+    places = np.hstack([moves.start, moves.end]).tolist()
+    return list(zip(moves.line.tolist(), map(tuple, places), moves.frame.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("every", [1, 7, 50])
+def test_a_part_says_what_the_whole_says_and_keeps_only_its_own_frames(every: int) -> None:
+    whole = read_program(MANY_FRAMES)
+    edges = [0, *range(3, len(whole.moves), every), len(whole.moves)]
+    parts = [excerpt(whole, a, b) for a, b in pairwise(edges)]
+    assert b"".join(line for each in parts for line in each.lines) == MANY_FRAMES
+    together = parts[0]
+    for each in parts[1:]:
+        assert each.first_line == len(together.lines)
+        together = join(together, each)
+    assert said_of_slicing(together) == said_of_slicing(whole)
+    assert max(len(each.frames) for each in parts) <= 4 * (every + 2)
+
+
+@pytest.mark.parametrize("longest_s", [0.0, 2.5, 1e9])
+def test_portions_of_little_motion_together_are_the_whole_and_end_with_lines(longest_s: float) -> None:
+    whole = read_program(MANY_FRAMES + ARC)
+    parts = list(portions(replace(whole, warnings=["once"]), longest_s))
+    assert b"".join(line for each in parts for line in each.lines) == MANY_FRAMES + ARC
+    assert [sentence for each in parts for sentence in each.warnings] == ["once"]
+    assert said_of_slicing(reduce(join, parts)) == said_of_slicing(whole)
+    for each in parts:
+        moves = each.moves
+        seconds = np.linalg.norm((moves.end - moves.start)[:, :3], axis=1) @ (1.0 / moves.speed)
+        assert seconds <= longest_s or len(set(moves.line.tolist())) == 1
+    assert len(parts) == {0.0: len(set(whole.moves.line.tolist())), 1e9: 1}.get(longest_s, len(parts)) and parts
+    assert next(portions(read_program(b"; nothing\n"), 1.0)).lines == [b"; nothing\n"]

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import settings_for
 from models.errors import MachineFileError
 from models.file import LIBRARY, entries, load_machine
 from models.kinds import delta_vibration
+from models.machine import ASSUMED, Machine, assumed_modes
 
 LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
 
@@ -194,3 +201,68 @@ def test_the_pressure_of_the_hot_end(write) -> None:
     assert (pressure.flow_exponent, pressure.corner_velocity_mm_per_s) == (1.0, 1.0)
     with pytest.raises(MachineFileError, match="pressure_time_constant_s"):
         load_machine(write(MINIMAL + "\n[extruder]\nfirmware_advance_s = 0.04\n"))
+
+
+# ---- library ----
+
+
+FILES = sorted(LIBRARY.glob("*.toml"))
+PAPER = ("paper", "derived")  # beginnings of an origin in the two files of the paper's machine
+
+
+@pytest.fixture(params=FILES, ids=lambda path: path.stem)
+def path(request: pytest.FixtureRequest) -> Path:
+    return Path(request.param)
+
+
+def unsourced(path: Path) -> Iterator[str]:
+    """Every value whose origin is neither assumed nor one of the file's sources; none of a text needs one."""
+    sources = tomllib.loads(path.read_text(encoding="utf-8"))["provenance"].get("sources", {})
+    known = (ASSUMED, *(f"{title}: " for title in sources), *(PAPER if path.stem.startswith("mp-delta-pro") else ()))
+    for entry in entries(path):
+        stated = entry.provenance.removeprefix("x, y: ")  # of one axis after the other
+        if not isinstance(entry.value, str) and not stated.startswith(known):
+            yield f"{entry.key}: {entry.provenance!r}"
+
+
+def test_every_number_is_from_a_source_or_assumed(path: Path) -> None:
+    assert list(unsourced(path)) == []
+
+
+def test_the_motors_can_do_what_the_plan_asks_of_them(path: Path) -> None:
+    """Without a margin the compensation would slow every fast move down."""
+    machine = load_machine(path)
+    centre = np.array([[*machine.kinematics.centre_mm, 0.0]])
+    actuators = np.linalg.inv(machine.kinematics.jacobian(centre)[0])[:, :2]  # per mm of the nozzle along x and y
+    demand = np.linalg.norm(actuators, axis=1).max()
+    assert machine.limits.carriage_velocity_mm_per_s > demand * machine.limits.velocity_mm_per_s
+    assert machine.limits.carriage_acceleration_mm_per_s2 > demand * machine.limits.acceleration_mm_per_s2
+
+
+def test_an_inverse_can_be_made(path: Path) -> None:
+    machine = load_machine(path)
+    model = InverseModel(machine, replace(settings_for(machine), one_model=True))  # of the bed's middle: quick
+    assert 60.0 <= model.settings.bandwidth_hz <= 0.46 * 250.0
+    assert np.isfinite(model.control_weight) and model.control_weight > 0
+    assert model.gains is not None
+
+
+# ---- provenance ----
+
+
+@pytest.fixture
+def voron() -> Machine:
+    return load_machine("voron-300")
+
+
+def with_origin(machine: Machine, **origins: str) -> Machine:
+    changed = {f"axes.{axis}.frequency_hz": origin for axis, origin in origins.items()}
+    return replace(machine, provenance={**machine.provenance, **changed})
+
+
+def test_measured_axes_are_told_from_assumed_ones(voron: Machine) -> None:
+    measured = "identified 2026-11-22 by ffcomp identify fit; 90 % interval 51.8 to 52.1"
+    half = assumed_modes(with_origin(voron, x=measured))
+    assert half is not None
+    assert half.startswith("The modes of voron-300 are assumed in part (axes.y.frequency_hz), not measured")
+    assert assumed_modes(with_origin(voron, x=measured, y=measured)) is None

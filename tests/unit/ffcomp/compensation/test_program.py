@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.methods import Compensated, compensated, segments
+from ffcomp.compensation.net import fault_of, path_fault
 from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.solve import solve
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.file import load_machine
@@ -81,3 +84,31 @@ def test_what_cannot_be_done_is_said() -> None:
     own = squares(1).replace(b"G21\n", b"G21\nSET_PRESSURE_ADVANCE ADVANCE=0.03\n")
     said = " ".join(written(FREE, own).statistics.warnings)
     assert "line 4" in said and "0.03" in said
+
+
+# ---- net ----
+
+
+START = (0.0, 0.0, 0.3)
+BUMP = np.exp(-(((np.arange(400) - 60.0) / 12.0) ** 2))[:, None] * np.array([0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "why"),
+    [(0.0, ""), (0.3, ""), (3.0, "it leaves its path by 3"), (np.nan, "it is not finite")],
+)
+def test_a_command_far_from_its_path_is_refused(off_mm: float, why: str) -> None:
+    machine = load_machine("mp-delta-pro")
+    planned = plan_program(read_program(b"G1 X30 F3000\nG1 X30 Y4\n", start=START, flavor="klipper"), machine)
+    model, section = InverseModel(machine, settings_for(machine)), planned.sections[0]
+    reference, moves = WHOLE.written(planned.trajectory, section, model.settings).reference, planned.program.moves
+    vertices = solve(model, reference, machine.equilibrium(np.array(START))).vertices
+    found = fault_of(model, moves, reference, vertices - off_mm * BUMP[: len(vertices)])
+    assert found.startswith(why) and bool(found) == bool(why)
+    assert path_fault(model, reference, vertices - off_mm * BUMP[: len(vertices)], (110, reference.knots)) == (
+        why if np.isnan(off_mm) else ""
+    )
+    assert "off its path" in fault_of(model, moves, reference, vertices + 0.02)
+    apart = np.array([[0.0] * 4, [0.1, 0.0, 0.0, 0.0]])
+    gap = replace(moves, start=moves.start + apart)
+    assert "jumps by 0.1 mm" in fault_of(model, gap, reference, vertices)

@@ -18,7 +18,7 @@ from ffcomp.diagnosis.recording_faults import (
 from ffcomp.measurement.faults import BadSensor, ShaperOn
 from ffcomp.numerics.delay import delayed
 from ffcomp.shapers.smooth import SHAPERS
-from tests.unit.ffcomp.diagnosis.test_parts import Line
+from tests.unit.ffcomp.diagnosis.test_work import Line
 
 RATE_HZ, N, NOISE = 1600.0, 2400, 0.05
 SIGNALS = ("acc_x", "acc_y", "acc_z")

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.fit import EstimationProblem, derivatives
+from ffcomp.diagnosis.noise import NoiseFloor, whitener
+from ffcomp.diagnosis.observations import (
+    EXCERPT_S,
+)
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
 from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
+from ffcomp.diagnosis.trace import Trace
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.measurement.axis_run import AxisRun
+from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effects
+from models.file import load_machine
 from models.kinds import machine_of_axis
 from models.printer.one_axis import simulate_axis
 from models.vibration.driven_axis import DrivenAxis
@@ -61,3 +75,118 @@ def test_a_search_ends_at_its_budget_and_says_so() -> None:
     assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
     whole = result_json(result_of(*searched(None)))
     assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
+
+
+# ---- search ----
+
+
+NAMES = ("coulomb_friction", "belt_hardening", "guide_damping")
+
+
+@cache
+def asked(settings: SearchSettings = SETTINGS) -> tuple[Diagnosis, Trace]:
+    trace = Trace()
+    return diagnose(problem(NAMES), settings=settings, trace=trace), trace
+
+
+def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
+    found, trace = asked()
+    assert found.named is not None and found.named.names == ("coulomb_friction",)
+    fits = [r for r in trace.records if r.step.startswith("fit")]
+    assert {"coulomb_friction", "guide_damping"} <= {name for r in fits for name in r.effects}
+    assert all(r.evidence is not None and r.left is not None and r.parameters for r in fits)
+    assert sum(r.evaluations for r in trace.records) > 100
+    pruned = [r for r in trace.records if r.step == "prune"]
+    assert {r.outcome for r in pruned} == {"kept", "dropped"}
+    assert [(r.effects, r.outcome) for r in trace.records if r.step == "accept"] == [(("coulomb_friction",), "kept")]
+    trace.write(tmp_path / "trace.json")
+    written = json.loads((tmp_path / "trace.json").read_text(encoding="utf-8"))
+    assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
+
+
+# ---- parts ----
+
+
+# ---- fit -----------------------------------------------------------------------------------------
+
+
+@dataclass
+class Line(Problem):
+    """y = (a + b) t² + a³ t, a toy problem."""
+
+    band_hz: tuple[float, float] = (1.0, 40.0)
+    observations: Sequence[Observation] = ()
+    parameters: Sequence[Parameter] = (Parameter("a", 1.0, 0.5), Parameter("b", 0.0, 0.5, 0.0, 2.0))
+    candidates: Sequence[Candidate] = field(default_factory=tuple)
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[np.ndarray]:
+        a, b = values.get("a", 1.0), values.get("b", 0.0)
+        t = np.arange(200)[:, None] / 200
+        return [np.asarray((a + b) * t**2 + a**3 * t) for _ in self.observations]
+
+
+def toy(a: float, b: float) -> EstimationProblem:
+    problem = Line()
+    blank = Observation("x", "x", (0.0,), 200.0, ("acc_A",), np.zeros((200, 1)), np.zeros((200, 1)))
+    problem.observations = [blank]
+    measured = problem.simulate({"a": a, "b": b})
+    problem.observations = [replace(blank, measured=measured[0])]
+    floor = NoiseFloor(np.array([0.0, 100.0]), {"acc_A": np.full(2, 1e-10)}, True)
+    whiten = whitener(problem.observations, floor, problem.band_hz)
+    return EstimationProblem(problem, whiten, whiten(measured))
+
+
+def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_cannot_move() -> None:
+    estimation, z = toy(1.0, 0.0), np.array([0.3, 0.0])
+    parameters = (Parameter("a", 1.0, 0.5), Parameter("fixed", 0.0, 1.0, 0.0, 0.0))
+    residual = estimation.residual({"a": 1.15})
+    rough = derivatives(estimation, parameters, z, residual, [0, 1])
+    sizes = np.linalg.norm(rough, axis=0)
+    fine = derivatives(estimation, parameters, z, residual, [0, 1], central=True, sizes=sizes)
+    t = np.arange(200)[:, None] / 200
+    exact = estimation.whiten([0.5 * (t**2 + 3 * 1.15**2 * t)])
+    assert np.linalg.norm(fine[:, 0] - exact) < 1e-5 * np.linalg.norm(exact)
+    assert not fine[:, 1].any() and not rough[:, 1].any()
+
+
+# ---- what runs must be ---------------------------------------------------------------------------
+
+
+# ---- excerpts ----
+
+
+RATE_HZ, SECONDS = 1591.5, 4.0
+FRICTION_EXCERPTS, DRIFT = "effects.coulomb_friction.force_n", "effects.sensor_clock_drift.relative_drift"
+
+
+@cache
+def problem_of_excerpts() -> PrinterProblem:
+    """Two motions, one of them twice, with noise and no signal: only lengths and commands matter."""
+    return noisy({"a-1": (9.0, "Axyz"), "a-2": (9.0, "Axyz"), "b-1": (17.0, "Axyz")}, {})
+
+
+def noisy(runs: dict[str, tuple[float, str]], said: dict[str, str]) -> PrinterProblem:
+    """A printer that makes circles of these frequencies, rad/s, and feels noise along these axes."""
+    machine, rng = load_machine("mp-delta-pro"), np.random.default_rng(4)
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    fade = np.clip(np.minimum(t, t[-1] - t) / 0.3, 0, 1)[:, None]
+    recordings = []
+    for name, (f, axes) in runs.items():
+        nozzle = [10.0, -5.0, 30.0] + fade * np.column_stack([np.sin(f * t), np.cos(2 * f * t), np.sin(3 * f * t) / 2])
+        felt = {f"acc_{axis}": rng.standard_normal(len(t)) for axis in axes}
+        gaps = np.zeros(len(t), dtype=bool)
+        q = machine.kinematics.inverse(nozzle)
+        recordings.append(Recording(f"{name}.csv", t, q, "carriage", felt, {}, gaps, said))
+    return PrinterProblem(machine, recordings, ("coulomb_friction",))
+
+
+@pytest.mark.parametrize(("values", "tolerance"), [({}, 5e-3), ({FRICTION_EXCERPTS: 2.0}, 0.02), ({DRIFT: 3e-4}, 5e-3)])
+def test_an_excerpt_is_simulated_as_the_whole_is(values: dict[str, float], tolerance: float) -> None:
+    whole, part = problem_of_excerpts(), problem_of_excerpts().excerpt()
+    assert part is not None
+    for long, short, rows in zip(whole.simulate(values), part.simulate(values), part.parts, strict=True):
+        there = long[rows.first : rows.last]
+        assert len(short) == rows.last - rows.first == pytest.approx(EXCERPT_S * RATE_HZ, rel=0.02)
+        np.testing.assert_allclose(short, there, atol=tolerance * np.abs(there).max())

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
+from ffcomp.firmware.base import FileLimits
+from ffcomp.firmware.klipper import Klipper
 from ffcomp.firmware.program import planner_of, raw_durations
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.segment_timing import SegmentLimits
+from gcode.program import LimitCommand, MotionLimits
 from gcode.reader import read_program
 from gcode.slicing import passed_through
 from models.file import load_machine
@@ -48,3 +53,16 @@ def _seconds(lines: str) -> float:
     """Y is never named, so that all are raw; X is known to begin at 0."""
     program = read_program(f"G1 X0 F60000\n{lines}".encode())
     return sum(raw_durations(program.events, PLANNER).values())
+
+
+# ---- klipper ----
+
+
+@pytest.mark.parametrize(("version", "known"), [((), True), ((0, 13, 0), True), ((2026, 6), True), ((2026, 7), False)])
+def test_accel_to_decel_is_written_where_the_firmware_knows_it(version: tuple[int, ...], known: bool) -> None:
+    machine = replace(load_machine("voron-300"), firmware_version=version)
+    own = MotionLimits(accel_to_decel=700.0)
+    file = FileLimits(MotionLimits(acceleration=1400.0), {"SET_VELOCITY_LIMIT": LimitCommand("", {}, own)})
+    (opened,), (closed,) = (lines(machine, SegmentLimits(), file) for lines in (Klipper().opening, Klipper().closing))
+    assert (b" ACCEL_TO_DECEL=100000" in opened) == (b" ACCEL_TO_DECEL=700" in closed) == known
+    assert b"MINIMUM_CRUISE_RATIO=0" in opened and b" ACCEL=1400 " in closed and closed.endswith(b"\n")

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cvxpy as cp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ffcomp.firmware.program import plan_program
+from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.settings import Settings
-from ffcomp.inverse.solve import solve
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, PreviewGains, SegmentPlant
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
@@ -151,3 +155,121 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
     again = solve(held_inverter, reference, state, enforce_limits=False)
     assert len(again.constrained) == 0
     np.testing.assert_array_equal(again.vertices, free.vertices)
+
+
+# ---- lq preview ----
+
+
+PRINTS = Path(__file__).parents[4] / "sample_prints"
+
+
+@pytest.fixture(scope="module")
+def preview(machine: Machine) -> PreviewGains:
+    return InverseModel(machine, Settings()).gains
+
+
+def references(name: str, machine: Machine, settings: Settings, seconds: float) -> list[Reference]:
+    """The first runs of a print that move in the plane, `seconds` of them."""
+    planned = plan_program(read_program((PRINTS / f"{name}.gcode").read_bytes(), flavor="klipper"), machine)
+    found, left = [], seconds
+    for run in planned.sections:
+        moves = planned.program.moves
+        flat = (moves.start[run.first : run.last, 2] == moves.end[run.first : run.last, 2]).all()
+        if run.travels and flat and left > 0:
+            found.append(Reference(planned.trajectory, run, settings))
+            left -= run.end_t - run.begin_t
+    return found
+
+
+def solved(inverter: InverseModel, reference: Reference) -> Solution:
+    return solve(
+        inverter, reference, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]), keep_response=True
+    )
+
+
+def at_rows(response: FloatArray, settings: Settings) -> FloatArray:
+    stride = settings.substeps // settings.rows_per_segment
+    return response[stride - 1 :: stride]
+
+
+@pytest.mark.parametrize("name", ["far_star"])
+def test_it_is_the_exact_inverse_within_a_micrometre(machine: Machine, name: str) -> None:
+    settings = settings_for(machine)
+    inverter, deep = InverseModel(machine, settings), InverseModel(machine, replace(settings, corrections=2))
+    apart = []
+    for reference in references(name, machine, settings, 2.5):
+        state = machine.equilibrium(reference.at_knots(np.array([0]))[0])
+        pair = solved(inverter, reference), solve_exactly(deep, reference, state, preview=40)
+        nozzles = [at_rows(each.response, settings) for each in pair]
+        apart.append(np.sqrt(((nozzles[0] - nozzles[1]) ** 2).sum(axis=1)))
+    micrometres = 1e3 * np.concatenate(apart)
+    assert len(micrometres) > 1000
+    assert np.sqrt(np.mean(micrometres**2)) < 0.3  # 1 is asked for
+    assert micrometres.max() < 3.0
+
+
+def test_the_gains_solve_the_riccati_equation(preview: PreviewGains) -> None:
+    """With and without an end: the finite problem's gains become the steady ones, far before the end."""
+    slots, steady = preview.at(np.array([[0.0, 0.0], [-95.0, 41.0]]))
+    for slot in slots:
+        ending = preview.end(int(slot))
+        assert len(ending.forward) == TO_THE_END + REST_ROWS
+        for finite, endless in ((ending.forward, steady.forward), (ending.backward, steady.backward)):
+            apart, size = np.abs(finite[0] - endless[slot]).max(axis=1), np.abs(endless[slot]).max(axis=1)
+            assert np.all(apart <= 1e-4 * size)  # in each row, an input: they differ in size by powers of ten
+
+
+def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: PreviewGains) -> None:
+    """At one place: the answer to a random error of a command, by the sweeps and by a matrix of all responses."""
+    rng = np.random.default_rng(3)
+    knots, place = 30, np.array([[40.0, -30.0]])
+    intervals = knots + REST_ROWS
+    (slot,), _ = preview.at(place)
+    at = preview.segment_plant(preview.known()["node"][slot : slot + 1])
+    problem = SegmentPlant(at.a[0], at.b[0], at.c[0], at.d[0])
+    # γ of the knots 1 … knots-1 are free; z holds x and two coefficients
+    free = 3 * (knots - 1)
+    gamma = np.zeros((intervals + 1, 3, free))
+    gamma[1:knots] = np.eye(free).reshape(knots - 1, 3, free)
+    rows, x = [], np.zeros((18, free))
+    for k in range(intervals):
+        w = gamma[k + 1] - 2 * gamma[k] + (gamma[k - 1] if k else 0.0)
+        z = np.concatenate([x, gamma[k], gamma[k - 1] if k else np.zeros((3, free))])
+        rows += [problem.c @ z + problem.d @ w, np.sqrt(preview.control_weight) * w]
+        x = (problem.a @ z + problem.b @ w)[:18]
+    error = rng.normal(size=(intervals, 6)) * 1e-3
+    present = np.zeros((intervals + 2, 3))  # from the knot before the first on
+    present[2 : knots + 1] = rng.normal(size=(knots - 1, 3)) * 1e-3
+    effort = np.sqrt(preview.control_weight) * np.diff(present, 2, axis=0)
+    right = np.hstack([error, -effort]).ravel()
+    dense = np.linalg.lstsq(np.concatenate(rows), right, rcond=None)[0].reshape(-1, 3)
+
+    node = np.full(intervals, slot)
+    steady = preview.at(place)[1]
+    ending = fast._to_rest(preview, node, len(steady.backward))
+    psi = fast.sweep_back(steady.backward, ending.backward, node, error, present)
+    swept, _ = fast.sweep_forward(steady.forward, ending.forward, node, psi, intervals)
+    np.testing.assert_allclose(swept[: knots - 1], dense, atol=1e-6 * np.abs(dense).max())
+    np.testing.assert_allclose(swept[knots - 1 :], 0.0, atol=1e-12)  # at rest after the end
+
+
+def test_stretches_leave_no_trace(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solved in short stretches or in one, the command is the same within a fraction of a micrometre."""
+    settings = settings_for(machine)
+    (reference, *_) = references("lobed_vase", machine, settings, 1.0)
+    answers = []
+    for stretch in (60, 100_000):
+        monkeypatch.setattr(fast, "STRETCH", stretch)
+        answers.append(solved(InverseModel(machine, settings), reference).vertices)
+    assert reference.knots > 150
+    np.testing.assert_allclose(answers[0], answers[1], atol=5e-4)
+
+
+def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
+    """C and τ are the real and imaginary parts of the FRF's inverse, at a frequency where little more is in it."""
+    inverter = InverseModel(machine, Settings())
+    place, s = np.array([40.0, -30.0]), 2 * np.pi * 0.5
+    inverse = np.linalg.inv(machine.vibration.frequency_response(place, np.array([0.5]))[0])
+    found = inverter.compliance_at(place[None])[0]
+    np.testing.assert_allclose(found, (np.eye(3) - inverse.real) / s**2, atol=2e-3 * np.abs(found).max())
+    np.testing.assert_allclose(np.diag(inverse.imag) / s, inverter.delay_s, rtol=1e-3)

@@ -210,3 +210,30 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
     assert found.solution.utilisation <= 1.0
+
+
+# ---- reference ----
+
+
+START_REFERENCE = (0.0, 0.0, 0.3)
+
+
+def planned_of_reference(text: bytes) -> PlannedProgram:
+    return plan_program(read_program(text, start=START_REFERENCE, flavor="klipper"), load_machine("mp-delta-pro"))
+
+
+@pytest.mark.parametrize("early_s", [0.0, 1e-12, 1e-6])
+def test_no_reference_holds_the_place_of_the_next_section(early_s: float) -> None:
+    """Where a plan was slowed down, rounding lets the next section begin before this one ends, and elsewhere."""
+    text = b"G28\nG90\nM83\nG1 X10 Y10 Z5 F6000\nG1 X20 Y10 E1\nT1\nG1 X60 Y60\nG1 X70 Y60 E1\n"
+    machine = load_machine("voron-300")
+    planned_of_reference = plan_program(read_program(text), machine)
+    plan, section = planned_of_reference.trajectory, planned_of_reference.sections[0]
+    start_t = plan.start_t.copy()
+    start_t[section.last] = section.end_t - early_s
+    reference = Reference(replace(plan, start_t=start_t), section, Settings(substeps=4))
+    knots = np.arange(-5, reference.knots + 6)
+    for nozzle in (reference.at_knots(knots), reference.substeps(0, reference.knots + 4)[0]):
+        np.testing.assert_allclose(nozzle[-1], [20.0, 10.0, 5.0], atol=1e-9)
+        assert np.abs(np.diff(nozzle, axis=0)).max() < 1.0
+    assert reference.extrusion()[-1] == pytest.approx(planned_of_reference.program.moves.end[section.last - 1, 3])

@@ -19,7 +19,7 @@ from ffcomp.planner.segment_merging import (
     merge,
     refit,
 )
-from tests.unit.ffcomp.planner.test_segment_timing import wave
+from tests.unit.ffcomp.planner.test_trajectory import wave
 
 FloatArray = NDArray[np.float64]
 
