@@ -3,27 +3,12 @@
 The request of a verb is one frozen dataclass. A field gives an option's name, type and default; the `Option` in its
 annotation gives the rest: help, group and range.
 
-To add an option, add a field to the verb's request and use it where the verb does its work. To add a verb:
+To add an option, add a field to the verb's request and use it where the verb does its work:
 
-    # ffcomp/restoring/request.py                          imports nothing heavy
-    @dataclass(frozen=True)
-    class RestoreRequest(Request):
-        file: Annotated[Path, Argument("Compensated print.", metavar="FILE")]
-        output: Annotated[Path | None, Option("Write here.", OUTPUT, "--output", "-o", metavar="FILE")] = None
-        layers: Annotated[int, Option("Layers to restore.", OUTPUT, metavar="N", low=1)] = 1
+    layers: Annotated[int, Option("Layers to restore.", OUTPUT, metavar="N", low=1)] = 1
 
-    # ffcomp/cli/restore.py                                its docstring is the help
-    @verb
-    def restore(request: RestoreRequest, shown: Shown) -> None:
-        \"\"\"Restore the original of a compensated print.\"\"\"
-        from ffcomp.restoring.work import restore            # heavy imports wait until here
-        ...
-
-    # ffcomp/cli/app.py
-    VERBS = {…, "restore": "Restore the original of a compensated print."}
-
-    # ffcomp/api/…                                         the Python function, with the request's own signature
-    restore = function(RestoreRequest, restore_file)
+To add a verb, write its request, a function with `@verb` in `ffcomp/cli/` whose docstring is the help (heavy imports
+wait inside it), a row of `VERBS` in `ffcomp/cli/app.py`, and its Python function in `ffcomp/api/`, made by `function`.
 
 Names: `--the-field` unless the Option names others. A `bool` is a switch; `--no-…` exists if its default is True or
 None. A `tuple[X, ...]` may be repeated. A type that cannot be made from text directly has a `parse`. The page of

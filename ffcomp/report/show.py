@@ -103,9 +103,9 @@ def _worst(curve: Curve, z_mm: float | None) -> tuple[FloatArray, float]:
 
 
 def _near(curve: Curve, at: FloatArray, reach_mm: float = np.inf) -> BoolArray:
-    """Return where plastic flows in the layer, and no further away than this."""
-    away = np.abs(curve.reference - at)
-    return curve.extruding & (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach_mm)
+    """Return where plastic flows in the layer (all moves if it flows nowhere), and no further away than this."""
+    away, shown = np.abs(curve.reference - at), curve.extruding | (not curve.extruding.any())
+    return shown & (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach_mm)
 
 
 def _close_up(axes: Axes, preview: Preview, at: FloatArray, half: float) -> None:
