@@ -53,12 +53,7 @@ class Arc:
         return atan2(point[1] - self.centre[1], point[0] - self.centre[0])
 
     def chords(self, tolerance: float = ARC_TOLERANCE_MM, longest: float = MAX_CHORD_MM) -> FloatArray:
-        """Return the ends of the chords.
-
-        Returns
-        -------
-        points : (n, 3), columns first axis mm, second axis mm, fraction of the arc (0, 1]
-        """
+        """Return the ends of the chords, (n, 3): first axis mm, second axis mm, fraction of the arc (0, 1]."""
         (first, last), sweep, begin = self.radii, self.sweep, self._angle(self.start)
         radius = max(first, last)
         angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE

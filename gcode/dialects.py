@@ -36,17 +36,9 @@ _JERK = b"M205", re.compile(rb"[ \t]*M205[ \t]")
 _CURA_RRF = b";FLAVOR:RepRap", re.compile(rb";FLAVOR:RepRap\b")  # Cura's name; Slic3r's `reprap` is old Marlin
 _FLAVORS = {declared: dialect.name for dialect in DIALECTS.values() for declared in dialect.declared}
 
-_SLICERS = {
-    "OrcaSlicer": rb"OrcaSlicer",
-    "BambuStudio": rb"BambuStudio",
-    "SuperSlicer": rb"SuperSlicer",
-    "PrusaSlicer": rb"PrusaSlicer",
-    "Slic3r": rb"Slic3r",
-    "Cura": rb"Cura_SteamEngine",
-    "Simplify3D": rb"Simplify3D",
-    "ideaMaker": rb"ideaMaker",
-    "KISSlicer": rb"KISSlicer",
-}
+_SLICERS = str.split(
+    "OrcaSlicer BambuStudio SuperSlicer PrusaSlicer Slic3r Cura_SteamEngine Simplify3D ideaMaker KISSlicer"
+)
 _HEAD_LINES = 200
 
 # A mode of E, a move that extrudes on its way, or a new name for E.
@@ -172,7 +164,7 @@ def detect_slicer(lines: list[bytes]) -> str:
     """Return the slicer's name from its header comments, or "unknown"."""
     comments = [line for line in lines[:_HEAD_LINES] if line.lstrip().startswith(b";")]
     head = b"".join(comments)
-    return next((name for name, pattern in _SLICERS.items() if re.search(pattern, head)), "unknown")
+    return next((name.partition("_")[0] for name in _SLICERS if name.encode() in head), "unknown")
 
 
 def open_limits(flavor: str, velocity: float, acceleration: float, corner: float, axes: str = "XYZ") -> list[bytes]:
@@ -283,21 +275,10 @@ class FlavorChoice:
 def choose_flavor(requested: str, stated: str, sign: FlavorSign, path: str = "") -> FlavorChoice:
     """Choose a firmware: the caller's request first, then the machine file, then the evidence in the print.
 
-    Parameters
-    ----------
-    requested : str
-        The caller's request; empty: none.
-    stated : str
-        The machine file's entry; empty: none.
-    sign : FlavorSign
-        The evidence in the print.
-    path : str
-        The print's name, for errors.
+    requested, stated : the caller's request and the machine file's entry; empty: none
+    sign : the evidence in the print;  path : its name, for errors
 
-    Raises
-    ------
-    UnsupportedGcode
-        If the requested name is not a flavor.
+    UnsupportedGcode: if the requested name is not a flavor.
     """
     flavor = requested or stated
     if not flavor:

@@ -103,18 +103,7 @@ def section_time_line(line: int, t: float) -> bytes:
 
 
 def section_times(lines: Iterable[bytes]) -> list[SectionTime]:
-    """Read when each section of the original begins.
-
-    Parameters
-    ----------
-    lines : iterable of bytes
-        All lines of a compensated file.
-
-    Returns
-    -------
-    list of SectionTime
-        In the file's order.
-    """
+    """Read when each section of the original begins, from all lines of a compensated file."""
     matches = ((at, _SECTION.match(line)) for at, line in enumerate(lines) if line.startswith(b";section "))
     return [SectionTime(at, int(match[1]) - 1, float(match[2])) for at, match in matches if match]
 
@@ -139,13 +128,7 @@ def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Restore the original lines, without stamps.
-
-    Raises
-    ------
-    UnsupportedGcode
-        If the file does not contain its original.
-    """
+    """Restore the original lines, without stamps; UnsupportedGcode if the file does not contain its original."""
     inside, time = False, None
     for line in lines:
         if line.startswith(WITHOUT_ORIGINAL):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
 from math import floor
+from typing import NamedTuple
 
 
 class Tells(Enum):
@@ -84,8 +85,7 @@ def _model_and_total(seconds: float) -> str:
     return short(seconds) + _TOTAL + short(seconds)
 
 
-@dataclass(frozen=True, slots=True)
-class _Form:
+class _Form(NamedTuple):
     """One slicer's way to write a time: group 1 of the pattern, the time, group 3."""
 
     pattern: re.Pattern[bytes]
@@ -95,43 +95,29 @@ class _Form:
 
 
 def _form(
-    begins: bytes,
-    time: bytes,
-    tells: Tells,
-    spell: Callable[[float], str],
-    rest: bytes = rb"\s*",
-    bare_s: float = 1.0,
-) -> _Form:
+    begins: bytes, time: bytes, spell: Callable[[float], str],
+    tells: Tells = Tells.TOTAL, rest: bytes = rb"\s*", bare_s: float = 1.0,
+) -> _Form:  # fmt: skip
     return _Form(re.compile(b"(" + begins + b")(" + time + b")(" + rest + b")", re.DOTALL), tells, spell, bare_s)
 
 
 _DURATION = rb"(?=\d)(?:\d+d ?)?(?:\d+h ?)?(?:\d+m ?)?(?:[\d.]+s)?"
-_MODE = rb"(?: \([^)]*\))? = "
+_MODE, _DECIMAL = rb"(?: \([^)]*\))? = ", rb"\d+(?:\.\d+)?"
+_KISS = rb"; (?:Estimated|Calculated-during-export) Build Time: +"
 _FORMS = (
-    _form(rb"; estimated printing time" + _MODE, _DURATION, Tells.TOTAL, short),  # PrusaSlicer, OrcaSlicer, Slic3r
-    _form(rb"; estimated first layer printing time" + _MODE, _DURATION, Tells.FIRST_LAYER, short),
-    _form(  # BambuStudio, OrcaSlicer
-        rb"; model printing time: ",
-        _DURATION + _TOTAL.encode() + _DURATION,
-        Tells.TOTAL,
-        _model_and_total,
-    ),
-    _form(_TOTAL.encode(), _DURATION, Tells.TOTAL, short),
-    _form(rb";TIME:", rb"\d+(?:\.\d+)?", Tells.TOTAL, _whole),  # Cura
-    _form(rb";TIME_ELAPSED:", rb"\d+(?:\.\d+)?", Tells.ELAPSED, "{:.6f}".format),
-    _form(rb";PRINT\.TIME:", rb"\d+", Tells.TOTAL, _whole),  # Cura for UltiMaker
-    _form(rb";Print Time: ", rb"\d+", Tells.TOTAL, _whole),  # ideaMaker
-    _form(rb";   Build [Tt]ime: ", rb"\d[\w ]*?", Tells.TOTAL, _words),  # Simplify3D 4 and 5
-    _form(  # KISSlicer
-        rb"; (?:Estimated|Calculated-during-export) Build Time: +",
-        rb"\d+(?:\.\d+)?",
-        Tells.TOTAL,
-        lambda seconds: f"{seconds / 60:.2f}",
-        rb" minutes\s*",
-        60.0,
-    ),
-    _form(rb"; Simulated print time: ", rb"\d+", Tells.TOTAL, _whole),  # RepRapFirmware itself
-    _form(rb"M73 ", rb"[^;*]*?\d[^;*]*?", Tells.LEFT, str, rb"\s*(?:;.*)?"),
+    _form(rb"; estimated printing time" + _MODE, _DURATION, short),  # PrusaSlicer, OrcaSlicer, Slic3r
+    _form(rb"; estimated first layer printing time" + _MODE, _DURATION, short, Tells.FIRST_LAYER),
+    # BambuStudio, OrcaSlicer
+    _form(rb"; model printing time: ", _DURATION + _TOTAL.encode() + _DURATION, _model_and_total),
+    _form(_TOTAL.encode(), _DURATION, short),
+    _form(rb";TIME:", _DECIMAL, _whole),  # Cura
+    _form(rb";TIME_ELAPSED:", _DECIMAL, "{:.6f}".format, Tells.ELAPSED),
+    _form(rb";PRINT\.TIME:", rb"\d+", _whole),  # Cura for UltiMaker
+    _form(rb";Print Time: ", rb"\d+", _whole),  # ideaMaker
+    _form(rb";   Build [Tt]ime: ", rb"\d[\w ]*?", _words),  # Simplify3D 4 and 5
+    _form(_KISS, _DECIMAL, lambda s: f"{s / 60:.2f}", rest=rb" minutes\s*", bare_s=60.0),  # KISSlicer
+    _form(rb"; Simulated print time: ", rb"\d+", _whole),  # RepRapFirmware itself
+    _form(rb"M73 ", rb"[^;*]*?\d[^;*]*?", str, Tells.LEFT, rb"\s*(?:;.*)?"),
 )
 _LIKELY = re.compile(rb"; (?:est|model p|total e|Est|Calc|Sim)|;TIME|;PRINT|;Print|;   Build|M73 ")
 
@@ -201,12 +187,8 @@ def retold(line: Timed, durations: Durations) -> bytes:
         return with_time(line, _longer(form, match[2], line.at_s, durations.total_s, durations.sliced_s))
     if form.tells is Tells.LEFT:
         return with_time(line, _progress(match[2], line.at_s, durations.total_s))
-    known = {
-        Tells.TOTAL: durations.total_s,
-        Tells.FIRST_LAYER: durations.first_layer_s,
-        Tells.ELAPSED: line.at_s,
-    }
-    seconds = known[form.tells]
+    total_s, first_layer_s = durations.total_s, durations.first_layer_s
+    seconds = {Tells.TOTAL: total_s, Tells.FIRST_LAYER: first_layer_s, Tells.ELAPSED: line.at_s}[form.tells]
     return line if seconds is None else with_time(line, form.spell(seconds).encode())
 
 

@@ -92,18 +92,9 @@ def shifted(
     # positional, because `_replace` takes twice as long and this runs several times for every event
     return [
         Event(
-            at + line,
-            before + move,
-            kind,
-            at_frame if frame is None else frame[at_frame],
-            dwell_s,
-            limits,
-            moves,
-            returns,
-            raw,
-            lasts_s,
+            at + line, before + move, kind, f if frame is None else frame[f], dwell, limits, moves, returns, raw, lasts
         )
-        for at, before, kind, at_frame, dwell_s, limits, moves, returns, raw, lasts_s in events
+        for at, before, kind, f, dwell, limits, moves, returns, raw, lasts in events
     ]
 
 

@@ -15,16 +15,10 @@ from typing import TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gcode import dialects
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.commands import MOVED, PASS, Effect, apply
 from gcode.dialect import DIALECTS, BareWords
-from gcode.dialects import (
-    detect_flavor,
-    filament_is_relative,
-    filament_is_relative_until_stated,
-    is_for_bambu,
-    says_how_filament_counts,
-)
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
 from gcode.program import EventKind, LimitCommand, ModalState, MotionLimits, Program, RawMove, limits_in_effect
@@ -82,7 +76,7 @@ def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **se
     GcodeError
         A line that cannot be followed, with its number.
     """
-    return _Reader(path, flavor or detect_flavor([data]), **settings).program(data)
+    return _Reader(path, flavor or dialects.detect_flavor([data]), **settings).program(data)
 
 
 def read_parts(
@@ -133,13 +127,9 @@ class _Reader:
         cut: Callable[[Program], Program] | None = None,
     ) -> None:
         self.path, self.arc_tolerance, self.cut = path, arc_tolerance_mm, cut
-        self.modal = Modal(
-            offset=offset_mm,
-            dialect=DIALECTS[flavor],
-            returns=frozenset(map(str.upper, returns)),
-            still=frozenset(map(str.upper, still)),
-            filament_change_s=filament_change_s,
-        )
+        macros, at_rest = (frozenset(map(str.upper, names)) for names in (returns, still))
+        self.modal = Modal(offset=offset_mm, dialect=DIALECTS[flavor], returns=macros, still=at_rest)
+        self.modal.filament_change_s = filament_change_s
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # subjects of earlier warnings
@@ -158,7 +148,7 @@ class _Reader:
         """Read the next part of the file; `ahead` is the beginning of the rest."""
         self.ahead = ahead
         settled = self._settle_filament(data)
-        if self.g90_keeps_m83 is None and is_for_bambu(data):
+        if self.g90_keeps_m83 is None and dialects.is_for_bambu(data):
             self.g90_keeps_m83 = True
         self._begin(data)
         self.warnings += settled
@@ -179,8 +169,8 @@ class _Reader:
         """If no line sets E's mode, infer it from the numbers: the start macro has set it."""
         if self.e_is_settled:
             return []
-        relative = filament_is_relative(data)
-        self.e_is_settled = relative is not None or says_how_filament_counts(data)
+        relative = dialects.filament_is_relative(data)
+        self.e_is_settled = relative is not None or dialects.says_how_filament_counts(data)
         if not relative:
             return []
         self.modal.set_e_mode(absolute=False)
@@ -327,7 +317,7 @@ class _Reader:
         """
         if self.g90_keeps_m83 is None:
             ahead = b"".join([*self.lines[at + 1 : at + 1 + _LINES_AHEAD], self.ahead])
-            self.g90_keeps_m83 = filament_is_relative_until_stated(ahead)
+            self.g90_keeps_m83 = dialects.filament_is_relative_until_stated(ahead)
             if self.g90_keeps_m83 is not None:
                 how = "do not grow, so E is relative" if self.g90_keeps_m83 else "grow: absolute"
                 rule = "Marlin 2 makes E absolute by G90, older ones keep M83"
@@ -384,18 +374,10 @@ class _Reader:
         start, end = modal.pass_through(words)
         self.modes = None
         self.moves.jumps[self.moves.count] = modal.position[:]
-        raw = RawMove(
-            tuple(start),
-            tuple(end),
-            path_mm=self._raw_length(start, end, words, at),
-            filament_mm=end[3] - start[3],
-            speed=modal.feed,
-            velocity_limit=limits.velocity,
-            acceleration=limits.acceleration,
-            square_corner_velocity=limits.square_corner_velocity,
-            axes=tuple(k for k in range(3) if before[k] != modal.position[k]),  # NaN is unlike itself
-            cause=self.lost,
-        )
+        axes = tuple(k for k in range(3) if before[k] != modal.position[k])  # NaN is unlike itself
+        way = self._raw_length(start, end, words, at), end[3] - start[3], modal.feed
+        within = limits.velocity, limits.acceleration, limits.square_corner_velocity
+        raw = RawMove(tuple(start), tuple(end), *way, *within, self.lost, axes)
         self._settle()
         self._event(at, Effect(EventKind.RAW_MOVE, moves_itself=True, raw=raw))
 

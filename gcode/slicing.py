@@ -10,17 +10,8 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from gcode.program import (
-    Event,
-    EventKind,
-    FloatArray,
-    IntArray,
-    Moves,
-    Program,
-    RawMove,
-    limits_in_effect,
-    shifted,
-)
+from gcode import program as data
+from gcode.program import Event, EventKind, FloatArray, IntArray, Moves, Program, RawMove
 
 
 def split(program: Program, move: int) -> tuple[Program, Program]:
@@ -48,10 +39,10 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
         program,
         lines=program.lines[begin:end],
         moves=replace(moves_within, line=moves_within.line - begin, frame=frame),
-        events=shifted(events, -begin, -first, number),
+        events=data.shifted(events, -begin, -first, number),
         frames=[program.frames[each] for each in used] if program.frames else [],  # none where they do not matter
         first_line=program.first_line + begin,
-        limits=limits_in_effect(program, program.limits, a),
+        limits=data.limits_in_effect(program, program.limits, a),
     )
 
 
@@ -99,7 +90,7 @@ def join(first: Program, second: Program) -> Program:
     columns = (each.name for each in fields(Moves))
     both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(later_moves, name)]) for name in columns})
     numbers = range(frames, frames + len(second.frames)) if second.frames else None  # none where they do not matter
-    later = shifted(second.events, lines, moves, numbers)
+    later = data.shifted(second.events, lines, moves, numbers)
     return replace(
         first,
         lines=first.lines + second.lines,
@@ -133,14 +124,8 @@ def preamble(program: Program, move: int) -> bytes:
 def passed_through(program: Program, which: NDArray[np.bool_], reason: str) -> Program:
     """Turn moves into lines that are not compensated; one chord takes its arc with it.
 
-    Parameters
-    ----------
-    program : Program
-        The program.
-    which : (n,) bool
-        The moves.
-    reason : str
-        Why they are not compensated; it stands where others have the command that caused it.
+    which : (n,) the moves
+    reason : why they are not compensated; it stands where others have the command that caused it
     """
     moves = program.moves
     if not which.any():
@@ -162,16 +147,10 @@ def _event(program: Program, numbers: IntArray, before: int, reason: str) -> Eve
     moves = program.moves
     first, last = int(numbers[0]), int(numbers[-1])
     start, end = moves.start[first], moves.end[last]
-    raw = RawMove(
-        tuple(start.tolist()),
-        tuple(end.tolist()),
-        path_mm=float(np.sqrt(((moves.end[numbers] - moves.start[numbers])[:, :3] ** 2).sum(axis=1)).sum()),
-        filament_mm=float(end[3] - start[3]),
-        speed=float(moves.speed[first]),
-        velocity_limit=float(moves.velocity_limit[first]),
-        acceleration=float(moves.acceleration[first]),
-        square_corner_velocity=float(moves.square_corner_velocity[first]),
-        cause=(program.line_of(first), reason),
-    )
+    path_mm = float(np.sqrt(((moves.end[numbers] - moves.start[numbers])[:, :3] ** 2).sum(axis=1)).sum())
+    columns = moves.speed, moves.velocity_limit, moves.acceleration, moves.square_corner_velocity
+    speed, velocity, acceleration, corner = (float(column[first]) for column in columns)
+    way, cause = (path_mm, float(end[3] - start[3]), speed), (program.line_of(first), reason)
+    raw = RawMove(tuple(start.tolist()), tuple(end.tolist()), *way, velocity, acceleration, corner, cause)
     frame = int(moves.frame[last])
     return Event(int(moves.line[first]), before, EventKind.RAW_MOVE, frame, moves_itself=True, raw=raw)
