@@ -59,7 +59,7 @@ class PhysicsChecks:
 
     growth_per_s: Extreme  # largest real part of a pole: below zero, everything decays
     dissipation: (
-        Extreme  # smallest eigenvalue of the Hermitian part of jωY, relative to jωY: below zero, energy is generated
+        Extreme  # smallest eigenvalue of the Hermitian part of jωY, relative to it; below zero: it has a source
     )
     asymmetry: Extreme  # largest skew part of Y, relative to Y
     load_asymmetry: Extreme  # largest skew part of Γ J, relative to Γ J
@@ -185,29 +185,6 @@ class Quantity:
         return tuple(other for other in self.others if abs(other.difference) > REDUNDANCY_RTOL)
 
 
-@dataclass(frozen=True)
-class _InFile:
-    """The file's own values of the quantities in `QUANTITIES`."""
-
-    mass: float  # m
-    stiffness: float  # k
-    damping: float  # c + b
-    both: float  # m_1 + m_2
-    nozzle: float  # m_1
-    extruder: float  # m_2
-    mount: float  # k along the hammer's axis
-
-
-@dataclass(frozen=True)
-class _Way:
-    """An equation for a quantity: `value` of the file's own numbers and the measured ones that it needs."""
-
-    quantity: str  # field of `_InFile`
-    equation: str
-    needs: tuple[str, ...]  # keys of [provenance.measured]
-    value: Callable[..., float]
-
-
 def _mass_by_frequencies(omega: float, loaded: float, added: float) -> float:
     """Apply Eq. 41; NaN if the load did not slow the carriage down."""
     return loaded**2 / (omega**2 - loaded**2) * added if omega > loaded else math.nan
@@ -219,63 +196,61 @@ _ZERO, _POLE = "hammer_zero_rad_per_s", "hammer_pole_rad_per_s"
 _THREE, _TWO, _BOTH = (_ALONE, _LOADED, _ADDED), (_LOADED, _ADDED), (_ZERO, _POLE)
 MEASURED = (_ALONE, _ZETA, _ADDED, _LOADED, _LOADED_ZETA, _TOTAL, _ZERO, _POLE)
 
-# field of `_InFile` -> key, unit, and how the file determines it
-QUANTITIES: Mapping[str, tuple[str, str, str]] = {
-    "mass": ("carriage.mass_kg + arm_pair_mass_kg/2", "kg", "Eq. 30: m_c + m_f/2"),
-    "stiffness": ("carriage.belt_stiffness_n_per_m", "N/m", GIVEN),
-    "damping": ("carriage.belt_damping_n_s_per_m + guide_damping_n_s_per_m", "N s/m", GIVEN),
-    "both": ("effector.nozzle_mass_kg + extruder_mass_kg", "kg", GIVEN),
-    "nozzle": ("effector.nozzle_mass_kg", "kg", GIVEN),
-    "extruder": ("effector.extruder_mass_kg", "kg", GIVEN),
-    "mount": ("effector.extruder_stiffness_n_per_m[{axis}]", "N/m", GIVEN),
-}
-WAYS = (
-    _Way("mass", "Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add", _THREE, lambda f, *each: _mass_by_frequencies(*each)),
-    _Way("mass", "Eq. 36: m = k/ω_n²", (_ALONE,), lambda f, w: f.stiffness / w**2),
-    _Way("mass", "Eq. 40: m = k/ω'_n² − m_add", _TWO, lambda f, w, added: f.stiffness / w**2 - added),
-    _Way("stiffness", "Eq. 36: k = m ω_n²", (_ALONE,), lambda f, w: f.mass * w**2),
-    _Way("stiffness", "Eq. 40: k = (m + m_add) ω'_n²", _TWO, lambda f, w, added: (f.mass + added) * w**2),
-    _Way(
-        "stiffness",
-        "Eqs. 36, 41: k = m ω_n² with the m of Eq. 41",
-        _THREE,
-        lambda f, w, *more: _mass_by_frequencies(w, *more) * w**2,
-    ),
-    _Way("damping", "Eq. 35: c + b = 2 ζ ω_n m", (_ALONE, _ZETA), lambda f, w, zeta: 2 * zeta * w * f.mass),
-    _Way(
-        "damping",
-        "Eq. 39: c + b = 2 ζ' ω'_n (m + m_add)",
-        (_LOADED, _LOADED_ZETA, _ADDED),
-        lambda f, w, zeta, added: 2 * zeta * w * (f.mass + added),
-    ),
-    _Way("both", "the scale: m_tot", (_TOTAL,), lambda f, total: total),
-    _Way("nozzle", "Eq. 49: m_1 = (ω_z/ω_p)² (m_1 + m_2)", _BOTH, lambda f, z, p: (z / p) ** 2 * f.both),
-    _Way("nozzle", "Eq. 49: m_1 = (ω_z/ω_p)² m_tot", (*_BOTH, _TOTAL), lambda f, z, p, total: (z / p) ** 2 * total),
-    _Way("extruder", "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) (m_1 + m_2)", _BOTH, lambda f, z, p: (1 - (z / p) ** 2) * f.both),
-    _Way(
-        "extruder",
-        "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) m_tot",
-        (*_BOTH, _TOTAL),
-        lambda f, z, p, total: (1 - (z / p) ** 2) * total,
-    ),
-    _Way("mount", "Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda f, z: f.extruder * z**2),
-    _Way("mount", "Eq. 48: k = m_1 m_2/(m_1 + m_2) ω_p²", (_POLE,), lambda f, p: f.nozzle * f.extruder / f.both * p**2),
+# An equation, the keys of [provenance.measured] that it needs, and its value from the file's own numbers f and theirs.
+_Way = tuple[str, tuple[str, ...], Callable[..., float]]
+_MASS: tuple[_Way, ...] = (
+    ("Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add", _THREE, lambda f, *each: _mass_by_frequencies(*each)),
+    ("Eq. 36: m = k/ω_n²", (_ALONE,), lambda f, w: f["k"] / w**2),
+    ("Eq. 40: m = k/ω'_n² − m_add", _TWO, lambda f, w, added: f["k"] / w**2 - added),
 )
+_STIFFNESS: tuple[_Way, ...] = (
+    ("Eq. 36: k = m ω_n²", (_ALONE,), lambda f, w: f["m"] * w**2),
+    ("Eq. 40: k = (m + m_add) ω'_n²", _TWO, lambda f, w, added: (f["m"] + added) * w**2),
+    ("Eqs. 36, 41: k = m ω_n² with the m of Eq. 41", _THREE, lambda f, w, *x: _mass_by_frequencies(w, *x) * w**2),
+)
+_DAMPED = (_LOADED, _LOADED_ZETA, _ADDED)
+_DAMPING: tuple[_Way, ...] = (
+    ("Eq. 35: c + b = 2 ζ ω_n m", (_ALONE, _ZETA), lambda f, w, zeta: 2 * zeta * w * f["m"]),
+    ("Eq. 39: c + b = 2 ζ' ω'_n (m + m_add)", _DAMPED, lambda f, w, zeta, added: 2 * zeta * w * (f["m"] + added)),
+)
+_NOZZLE: tuple[_Way, ...] = (
+    ("Eq. 49: m_1 = (ω_z/ω_p)² (m_1 + m_2)", _BOTH, lambda f, z, p: (z / p) ** 2 * f["m12"]),
+    ("Eq. 49: m_1 = (ω_z/ω_p)² m_tot", (*_BOTH, _TOTAL), lambda f, z, p, total: (z / p) ** 2 * total),
+)
+_EXTRUDER: tuple[_Way, ...] = (
+    ("Eq. 49: m_2 = (1 − (ω_z/ω_p)²) (m_1 + m_2)", _BOTH, lambda f, z, p: (1 - (z / p) ** 2) * f["m12"]),
+    ("Eq. 49: m_2 = (1 − (ω_z/ω_p)²) m_tot", (*_BOTH, _TOTAL), lambda f, z, p, total: (1 - (z / p) ** 2) * total),
+)
+_MOUNT: tuple[_Way, ...] = (
+    ("Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda f, z: f["m2"] * z**2),
+    ("Eq. 48: k = m_1 m_2/(m_1 + m_2) ω_p²", (_POLE,), lambda f, p: f["m1"] * f["m2"] / f["m12"] * p**2),
+)
+_SCALE: tuple[_Way, ...] = (("the scale: m_tot", (_TOTAL,), lambda f, total: total),)
+# The file's own number -> key, unit, how the file determines it, and the other ways.
+QUANTITIES: Mapping[str, tuple[str, str, str, tuple[_Way, ...]]] = {
+    "m": ("carriage.mass_kg + arm_pair_mass_kg/2", "kg", "Eq. 30: m_c + m_f/2", _MASS),
+    "k": ("carriage.belt_stiffness_n_per_m", "N/m", GIVEN, _STIFFNESS),
+    "c+b": ("carriage.belt_damping_n_s_per_m + guide_damping_n_s_per_m", "N s/m", GIVEN, _DAMPING),
+    "m12": ("effector.nozzle_mass_kg + extruder_mass_kg", "kg", GIVEN, _SCALE),
+    "m1": ("effector.nozzle_mass_kg", "kg", GIVEN, _NOZZLE),
+    "m2": ("effector.extruder_mass_kg", "kg", GIVEN, _EXTRUDER),
+    "mount": ("effector.extruder_stiffness_n_per_m[{axis}]", "N/m", GIVEN, _MOUNT),
+}
 
 
 def redundant_quantities(machine: Machine) -> list[Quantity]:
     """List every parameter of the file that the measurements also determine, with each value."""
     measured, model = _usable(machine), delta_vibration(machine)
-    carriage, effector, mount = model.carriage, model.effector, model.effector.extruder_stiffness_n_per_m
+    carriage, mount = model.carriage, model.effector.extruder_stiffness_n_per_m
     axis = AXES.index(measured["hammer_axis"]) if "hammer_axis" in measured else int(np.argmax(mount))
-    m1, m2 = effector.nozzle_mass_kg, effector.extruder_mass_kg
-    stiffness, both = carriage.belt_stiffness_n_per_m, damping(carriage)
-    of_file = _InFile(carriage.moving_mass_kg, stiffness, both, m1 + m2, m1, m2, float(mount[axis]))
+    m1, m2 = model.effector.nozzle_mass_kg, model.effector.extruder_mass_kg
+    of_file = {"m": carriage.moving_mass_kg, "k": carriage.belt_stiffness_n_per_m, "c+b": damping(carriage)}
+    of_file |= {"m12": m1 + m2, "m1": m1, "m2": m2, "mount": float(mount[axis])}
     quantities = []
-    for name, (key, unit, basis) in QUANTITIES.items():
-        own: float = getattr(of_file, name)
-        ways = [way for way in WAYS if way.quantity == name and all(need in measured for need in way.needs)]
-        values = [(way.equation, way.value(of_file, *(measured[need] for need in way.needs))) for way in ways]
+    for name, (key, unit, basis, ways) in QUANTITIES.items():
+        own = of_file[name]
+        known = [way for way in ways if all(need in measured for need in way[1])]
+        values = [(text, value(of_file, *(measured[need] for need in needs))) for text, needs, value in known]
         others = tuple(Value(text, value, value / own - 1) for text, value in values if math.isfinite(value))
         if others:
             quantities.append(Quantity(key.format(axis=AXES[axis]), unit, own, basis, others))

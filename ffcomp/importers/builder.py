@@ -11,7 +11,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,12 +68,7 @@ def read_printer_config(path: Path, kinematics: str | None = None, alone: bool =
 TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "firmware")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")
 REQUIRED = {
-    "delta": (
-        "kinematics.arm_length_mm",
-        "kinematics.delta_radius_mm",
-        "kinematics.print_radius_mm",
-        "kinematics.print_height_mm",
-    ),
+    "delta": tuple(f"kinematics.{key}_mm" for key in ("arm_length", "delta_radius", "print_radius", "print_height")),
     "cartesian": (
         *(f"kinematics.{axis}_range_mm" for axis in "xyz"),
         *(f"axes.{axis}.{key}" for axis in "xy" for key in ("frequency_hz", "damping_ratio")),
@@ -82,14 +77,14 @@ REQUIRED = {
 REQUIRED["corexy"] = REQUIRED["cartesian"]
 REQUIRED_OF_ALL = ("limits.velocity_mm_per_s", "limits.acceleration_mm_per_s2")
 BORROWED = ("carriage", "effector", "axes")  # tables taken from the library machine where the configuration is silent
-DEFAULTS = {  # optional in a machine file, but written by an import
-    "limits.square_corner_velocity_mm_per_s": MotionLimits(0, 0).square_corner_velocity_mm_per_s,
-    "limits.carriage_velocity_mm_per_s": MotionLimits(0, 0).carriage_velocity_mm_per_s,
-    "limits.carriage_acceleration_mm_per_s2": MotionLimits(0, 0).carriage_acceleration_mm_per_s2,
-    "steps.steps_per_mm": Steps().steps_per_mm,
-    "steps.full_steps_per_mm": Steps().full_steps_per_mm,
-}
 CARRIAGE_ACCELERATION = "limits.carriage_acceleration_mm_per_s2"
+OPTIONAL = (  # in a machine file, but written by an import
+    *("limits.square_corner_velocity_mm_per_s", "limits.carriage_velocity_mm_per_s", CARRIAGE_ACCELERATION),
+    *("steps.steps_per_mm", "steps.full_steps_per_mm"),
+)
+DEFAULTS: Mapping[str, Any] = {f"limits.{key}": value for key, value in asdict(MotionLimits(0, 0)).items()} | {
+    f"steps.{key}": value for key, value in asdict(Steps()).items()
+}
 PEAK = 10.0  # of a command's acceleration over the firmware's, corners included
 FLAVOR = "firmware.flavor"
 USUAL_MICROSTEPS = 16.0
@@ -188,10 +183,10 @@ def _assumed(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iter
         if highest < MotionLimits(0, 0).carriage_acceleration_mm_per_s2:
             rule = f"{ASSUMED}: {PEAK:g} times the firmware's acceleration"
             yield CARRIAGE_ACCELERATION, Value(highest, "assumed", rule)
-    for key, default in DEFAULTS.items():
+    for key in OPTIONAL:
         table, _, name = key.partition(".")
         whose = f"as the machine {like!r}" if name in lender.get(table, {}) else "ffcomp's default"
-        yield key, Value(lender.get(table, {}).get(name, default), "assumed", f"{ASSUMED}: {whose}")
+        yield key, Value(lender.get(table, {}).get(name, DEFAULTS[key]), "assumed", f"{ASSUMED}: {whose}")
 
 
 def _assumed_reach(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:

@@ -18,12 +18,7 @@ from ffcomp.errors import FfcompError
 from models.machine import START
 
 How = Literal["read", "default", "converted", "assumed"]
-ORDER: tuple[How, ...] = (
-    "default",
-    "read",
-    "converted",
-    "assumed",
-)  # of several sources the last counts
+ORDER: tuple[How, ...] = ("default", "read", "converted", "assumed")  # of several sources the last counts
 AXES = "xyz"
 
 
@@ -142,8 +137,6 @@ SHAPER = "firmware.input_shaper"
 def own_shaper(commands: Sequence[str], sources: Sequence[Value], unread: bool, rule: str) -> dict[str, Value]:
     """Return the commands that switch the firmware's shaper on; nothing where a part that was not read may hold them.
 
-    Parameters
-    ----------
     rule : where there are none, why
     """
     if not commands and unread:

@@ -20,16 +20,6 @@ The slicer adds the file's path. It runs when you export or send, not when you s
 keep showing the original. If ffcomp fails the export fails: the print is never sent uncompensated."""
 
 
-def nowhere() -> list[Path]:
-    """Return no folder: the program has none of its own."""
-    return []
-
-
-def here() -> list[Path]:
-    """Return the current folder."""
-    return [Path.cwd()]
-
-
 @dataclass(frozen=True, slots=True)
 class Recipe:
     """A slicer or a host."""
@@ -39,7 +29,7 @@ class Recipe:
     steps: str  # with places for what `instructions` fills in
     wrapper: str = ""  # a file in this folder; empty: none is needed
     installed_as: str = ""
-    folders: Callable[[], list[Path]] = nowhere  # that are there, the likeliest first
+    folders: Callable[[], list[Path]] = list  # that are there, the likeliest first
 
 
 def executable() -> str:
@@ -115,7 +105,7 @@ It writes ffcomp_plugin.py. Install that in the Plugins dialog (local file), act
 vibration" in the process settings > Others > Slicing Pipeline Plugin. OrcaSlicer asks whether it may run ffcomp.""",
             "orca_plugin.py",
             "ffcomp_plugin.py",
-            here,
+            lambda: [Path.cwd()],
         ),
         Recipe(
             "bambustudio",

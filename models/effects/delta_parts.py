@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
 from models.arrays import constant
 from models.effects.effect import EACH, Effect, Values, amplitude
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
+
+_part = partial(Effect, kind="parameter", of=("carriages",))
 
 
 def _with_effector(machine: Machine, **changes: Any) -> Machine:
@@ -17,15 +19,13 @@ def _with_effector(machine: Machine, **changes: Any) -> Machine:
 
 
 def _heavier_holder(machine: Machine, values: Values) -> Machine:
-    """Add the mass to the nozzle holder."""
     nozzle_kg = delta_vibration(machine).effector.nozzle_mass_kg + float(values["added_kg"])
     return _with_effector(machine, nozzle_mass_kg=nozzle_kg)
 
 
-EFFECTOR_MASS = Effect(
+EFFECTOR_MASS = _part(
     name="effector_mass",
     title="More mass on the nozzle holder",
-    kind="parameter",
     physics="A fan, a duct, a probe or a bundle of cables moves with the nozzle holder.",
     equation="m₁ → m₁ + Δm",
     parameters=(amplitude("added_kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
@@ -36,22 +36,19 @@ EFFECTOR_MASS = Effect(
         "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder raises it.",
     },
     fold=_heavier_holder,
-    of=("carriages",),
     remedy="Weigh the effector with everything that moves with it (fan, cables, camera) and write it in the file.",
     corrects_file=True,
 )
 
 
 def _off_centre(machine: Machine, values: Values) -> Machine:
-    """Move the effector's centre of mass."""
     centre = delta_vibration(machine).effector.center_of_mass_mm + values["offset_mm"]
     return _with_effector(machine, center_of_mass_mm=constant(centre))
 
 
-CENTER_OF_MASS = Effect(
+CENTER_OF_MASS = _part(
     name="center_of_mass",
     title="An effector with its mass off centre",
-    kind="parameter",
     physics=(
         "An off-centre mass loads the rods unevenly. Ideal rods balance that among themselves, so by virtual work the "
         "carriages do not feel it; by the map of Eqs. 22-27 they do."
@@ -61,26 +58,22 @@ CENTER_OF_MASS = Effect(
     in_data="With force_map 'paper': towers differ. With 'virtual_work': nothing at all.",
     confounded_with={"force_map": "Which tower differs: a change of map shows with a centred mass too."},
     fold=_off_centre,
-    of=("carriages",),
     remedy="Find the effector's balance point, or move parts on one side nearer to the middle.",
     corrects_file=True,
 )
 
 
 def _other_mount(machine: Machine, values: Values) -> Machine:
-    """Scale the mount's stiffness and damping."""
     effector = delta_vibration(machine).effector
     stiffness = effector.extruder_stiffness_n_per_m * (1 + values["relative_stiffness_change"])
     damping = effector.extruder_damping_n_s_per_m * (1 + values["relative_damping_change"])
-    return _with_effector(
-        machine, extruder_stiffness_n_per_m=constant(stiffness), extruder_damping_n_s_per_m=constant(damping)
-    )
+    mount = {"extruder_stiffness_n_per_m": constant(stiffness), "extruder_damping_n_s_per_m": constant(damping)}
+    return _with_effector(machine, **mount)
 
 
-EXTRUDER_MOUNT = Effect(
+EXTRUDER_MOUNT = _part(
     name="extruder_mount",
     title="A loose or stiff extruder mount",
-    kind="parameter",
     physics="Screws and printed brackets hold the extruder; they loosen, or are tightened.",
     equation="K → K (1 + r_k), B → B (1 + r_b), per axis",
     parameters=(
@@ -92,23 +85,20 @@ EXTRUDER_MOUNT = Effect(
         "effector.extruder_mass_kg": "Antiresonance and mode together: mass shifts both, stiffness only one."
     },
     fold=_other_mount,
-    of=("carriages",),
     remedy="Tighten the extruder's mount, its screws and dampers; print a stiffer bracket.",
     corrects_file=True,
 )
 
 
 def _mass_along_arms(machine: Machine, values: Values) -> Machine:
-    """Spread that share of the arms' mass along them."""
     carriage = delta_vibration(machine).carriage
     share = carriage.arm_mass_share_at_ends - float(values["share_along"])
     return with_parts(machine, carriage=replace(carriage, arm_mass_share_at_ends=share))
 
 
-ARM_INERTIA = Effect(
+ARM_INERTIA = _part(
     name="arm_inertia",
     title="Arms with mass along their length",
-    kind="parameter",
     physics=(
         "By default half of an arm's mass is at either end. Mass along the arm moves less than the ends when these "
         "move differently: uniform rods have 1, carbon tubes with heavy ends less."
@@ -123,22 +113,19 @@ ARM_INERTIA = Effect(
         "belt_stiffness": "Up and down at the centre: there only stiffer belts raise the resonance.",
     },
     fold=_mass_along_arms,
-    of=("carriages",),
     remedy="Weigh an arm's tube and its ends apart, and write the ends' share in the file.",
     corrects_file=True,
 )
 
 
 def _other_geometry(machine: Machine, values: Values) -> Machine:
-    """Change the arms' lengths and the towers' radii of the true geometry."""
     true = machine.kinematics.recalibrated(values["arm_length_mm"], values["delta_radius_mm"])
     return replace(machine, kinematics=true or machine.kinematics)
 
 
-ARM_GEOMETRY = Effect(
+ARM_GEOMETRY = _part(
     name="arm_geometry",
     title="Arms and towers off their nominal sizes",
-    kind="parameter",
     physics="The firmware commands the carriages with the nominal geometry; the nozzle moves with the true one.",
     equation="L → L + ΔL, R → R + ΔR",
     parameters=(
@@ -148,23 +135,18 @@ ARM_GEOMETRY = Effect(
     in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
     confounded_with={"sensor_misalignment": "Measure a print: accelerations can hardly separate the two."},
     fold=_other_geometry,
-    of=("carriages",),
     remedy="Measure the arms and calibrate the delta (radius, arm length) in the firmware.",
 )
 
 
-OTHER: Mapping[str, Literal["virtual_work", "paper"]] = {"virtual_work": "paper", "paper": "virtual_work"}
-
-
 def _other_map(machine: Machine, values: Values) -> Machine:
-    """Replace the machine's force map by the other one."""
-    return _with_effector(machine, force_map=OTHER[delta_vibration(machine).effector.force_map])
+    by_work = delta_vibration(machine).effector.force_map == "virtual_work"
+    return _with_effector(machine, force_map="paper" if by_work else "virtual_work")
 
 
-FORCE_MAP = Effect(
+FORCE_MAP = _part(
     name="force_map",
     title="The other force map",
-    kind="parameter",
     physics=(
         "By virtual work the carriages feel the effector's whole load; by Eqs. 22-27 about a third of it. With this "
         "effect the machine follows the map that its file does not name. It has no parameters."
@@ -174,6 +156,5 @@ FORCE_MAP = Effect(
     in_data="The lowest modes are off by a factor near 1.5, differently over the bed.",
     confounded_with={"effector_mass": "Three places on the bed: no single mass fits all of them."},
     fold=_other_map,
-    of=("carriages",),
     remedy="Nothing to repair: the machine file uses the other force map, which is a modelling choice.",
 )

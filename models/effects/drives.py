@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from models.effects.effect import (
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
+_drive = partial(Effect, of_motors=True)
+ANY = ("carriages", "axes", "axis")
 USUAL_STRETCH = OnAxis(usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
 
 
@@ -33,7 +36,7 @@ def _with_belts(machine: Machine, values: Values) -> Machine:
     return replace(machine, vibration=model.with_belts(change, machine.kinematics.motors))
 
 
-BELT_STIFFNESS = Effect(
+BELT_STIFFNESS = _drive(
     name="belt_stiffness",
     title="Belts tighter or slacker than in the file",
     kind="parameter",
@@ -52,11 +55,10 @@ BELT_STIFFNESS = Effect(
     },
     fold=_with_belts,
     of_axis=(AT_DRIVE,),
-    of=("carriages", "axes", "axis"),
+    of=ANY,
     needs="spring",
     remedy="Check the belts' tension{where}, and tension them alike (same note when plucked).",
     corrects_file=True,
-    of_motors=True,
     axis_words=AxisWords(
         title="A drive or coupling stiffer or softer than in the file",
         physics="Tension, temperature, wear, or a formula that omits a compliance.",
@@ -69,7 +71,7 @@ BELT_STIFFNESS = Effect(
 )
 
 
-BELT_DAMPING = Effect(
+BELT_DAMPING = _drive(
     name="belt_damping",
     title="Damping in the belts",
     kind="parameter",
@@ -100,7 +102,6 @@ BELT_DAMPING = Effect(
     needs="command",
     remedy="Nothing to repair: set belt_damping_share of each axis{where} in the file.",
     corrects_file=True,
-    of_motors=True,
     axis_words=AxisWords(
         title="Damping across the drive, not to the ground",
         physics="The damping is in the belt, the strip or the servo law, not in bearings.",
@@ -113,7 +114,7 @@ BELT_DAMPING = Effect(
 )
 
 
-BELT_POSITION_STIFFNESS = Effect(
+BELT_POSITION_STIFFNESS = _drive(
     name="belt_position_stiffness",
     title="Belt stiffness that depends on the free length",
     kind="force",
@@ -127,7 +128,6 @@ BELT_POSITION_STIFFNESS = Effect(
     confounded_with={"belt_stiffness": "Two heights: a constant change is the same at both."},
     terms=lambda values, _: {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3},
     remedy="Check the belts' tension at both ends of the travel{where}, and look for misaligned pulleys.",
-    of_motors=True,
 )
 
 
@@ -146,7 +146,7 @@ def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray)
     return np.where(softens, np.sqrt(2 * stiffness / np.where(softens, below, 1.0)), np.inf)
 
 
-BELT_HARDENING = Effect(
+BELT_HARDENING = _drive(
     name="belt_hardening",
     title="Belts that stiffen or soften as they stretch",
     kind="force",
@@ -174,11 +174,10 @@ BELT_HARDENING = Effect(
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
     },
     of_axis=(AT_DRIVE,),
-    of=("carriages", "axes", "axis"),
+    of=ANY,
     terms=_hardening_terms,
     needs="spring",
     remedy="Tension the belts{where}: a belt that stiffens under load is slack, or its clamp yields.",
-    of_motors=True,
     axis_words=AxisWords(
         title="A drive or coupling that stiffens or softens as it stretches",
         physics="Strips, couplings and magnetic springs are not linear.",
@@ -196,7 +195,7 @@ def _play_terms(values: Values, printer: Terms) -> Terms:
     return {"half_backlash": half, "landing": landing, "play_at_drive": values["at_drive"]}
 
 
-BELT_BACKLASH = Effect(
+BELT_BACKLASH = _drive(
     name="belt_backlash",
     title="Backlash between motor and carriage",
     kind="force",
@@ -223,11 +222,10 @@ BELT_BACKLASH = Effect(
         "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
     },
     of_axis=(AT_DRIVE,),
-    of=("carriages", "axes", "axis"),
+    of=ANY,
     terms=_play_terms,
     needs="spring",
     remedy="Look for backlash{where}: loose pulley screws, worn arms or joints, a yielding belt clamp.",
-    of_motors=True,
     axis_words=AxisWords(
         title="Backlash in the drive or coupling",
         physics="Gear, key or joint move freely through a dead band; spring and damper act outside it.",
@@ -240,7 +238,7 @@ BELT_BACKLASH = Effect(
 )
 
 
-TORQUE_ANGLE = Effect(
+TORQUE_ANGLE = _drive(
     name="torque_angle",
     title="Motors near their holding torque",
     kind="force",
@@ -272,14 +270,13 @@ TORQUE_ANGLE = Effect(
     },
     terms=lambda values, _: {"inverse_amplitude": 1e3 / values["amplitude_mm"], "belt_share": values["belt_share"]},
     remedy="Raise the motor current within the motors' rating, or lower accelerations.",
-    of_motors=True,
 )
 
 
 PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitches on an axis by itself
 
 
-COGGING = Effect(
+COGGING = _drive(
     name="cogging",
     title="Motor ripple once per step cycle",
     kind="command",
@@ -312,7 +309,7 @@ COGGING = Effect(
     ),
     in_data="A spectral line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
     confounded_with={"belt_stiffness": "Moves at several speeds: a resonance stays, ripple moves with the speed."},
-    of=("carriages", "axes", "axis"),
+    of=ANY,
     terms=lambda values, _: {
         "ripple": values["amplitude_mm"] / 1e3,
         "wave": 2e3 * np.pi / values["pitch_mm"],
@@ -322,7 +319,6 @@ COGGING = Effect(
     },
     needs="command",
     remedy="Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
-    of_motors=True,
     axis_words=AxisWords(
         title="Drive ripple once per motor cycle",
         physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
@@ -332,7 +328,7 @@ COGGING = Effect(
 )
 
 
-COMMAND_DELAY = Effect(
+COMMAND_DELAY = _drive(
     name="command_delay",
     law_of="lateness",
     title="A delay between command and motor",
@@ -349,10 +345,9 @@ COMMAND_DELAY = Effect(
         "guide_damping": "Several speeds and frequencies: damping lowers the resonance, a delay does not.",
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
     },
-    of=("carriages", "axes", "axis"),
+    of=ANY,
     terms=lambda values, _: {"delay": values["delay_s"]},
     remedy="Nothing to repair: the firmware or drives act late{where}. Once in the file, it is compensated.",
-    of_motors=True,
     axis_words=AxisWords(
         title="A delayed drive",
         physics="Electronics, filters and buses take time, so the axis is driven by an earlier input.",

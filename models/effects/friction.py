@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -37,27 +38,11 @@ PRESLIDING = shape(
 
 def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
     """Declare v₀ and κ of F = ℓ tanh(v/v₀ + φ) (`models/printer/kernels`), optional in a machine file."""
+    creep, hold = "v₀: well below this, friction falls with speed", "κ: how quickly friction locks at rest; 0: never"
+    optional = partial(shape, size=size, logarithmic=True)
     return (
-        shape(
-            "creep_mm_per_s",
-            "v₀: well below this, friction falls with speed",
-            (0.05, 1000),
-            (0.2, 5),
-            0.05,
-            size,
-            default=0.5,
-            logarithmic=True,
-        ),
-        shape(
-            "hold_per_s",
-            "κ: how quickly friction locks at rest; 0: never, all loads creep",
-            (0, 1e6),
-            (0, 1000),
-            5.0,
-            size,
-            default=50.0,
-            logarithmic=True,
-        ),
+        optional("creep_mm_per_s", creep, (0.05, 1000), (0.2, 5), 0.05, default=0.5),
+        optional("hold_per_s", f"{hold}, all loads creep", (0, 1e6), (0, 1000), 5.0, default=50.0),
     )
 
 
@@ -75,9 +60,7 @@ GUIDE_DAMPING = Effect(
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
         "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",
     },
-    fold=lambda machine, values: replace(
-        machine, vibration=machine.vibration.with_guide_damping(values["added_n_s_per_m"])
-    ),
+    fold=lambda machine, v: replace(machine, vibration=machine.vibration.with_guide_damping(v["added_n_s_per_m"])),
     of=("carriages", "axes", "axis"),
     remedy="Check the rails{where} for stiff grease and tight carriages; warm grease has less friction.",
     corrects_file=True,

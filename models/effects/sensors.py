@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from models.arrays import FloatArray
 from models.effects.effect import EACH, USUAL_SHARE, Effect, Signals, Values, amplitude, resampled, shape
 
+JOIN = "Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join)."
+_sensor = partial(Effect, kind="sensor")
+
 
 def _scaled(true: Signals, values: Values) -> Signals:
-    """Scale every channel."""
     carriage = true.carriage * (1 + values["carriage_relative_change"])
     return replace(true, carriage=carriage, nozzle=true.nozzle * (1 + values["nozzle_relative_change"]))
 
 
-SENSOR_GAIN = Effect(
+SENSOR_GAIN = _sensor(
     name="sensor_gain",
     title="Accelerometer gain",
-    kind="sensor",
     physics="Sensitivities are calibrated to a few percent.",
     equation="a → (1 + g) a, per channel",
     parameters=(
@@ -51,10 +53,9 @@ def _turned(true: Signals, values: Values) -> Signals:
     return replace(true, nozzle=true.nozzle @ rotation(np.radians(values["angles_deg"])))
 
 
-SENSOR_MISALIGNMENT = Effect(
+SENSOR_MISALIGNMENT = _sensor(
     name="sensor_misalignment",
     title="A misaligned nozzle accelerometer",
-    kind="sensor",
     physics="The sensor's axes are rotated relative to the printer's.",
     equation="a → Rᵀ a, R the rotation by the vector φ",
     parameters=(amplitude("angles_deg", "φ about x, y, z", (-180, 180), (-5, 5), 1.0, "vector3"),),
@@ -65,11 +66,10 @@ SENSOR_MISALIGNMENT = Effect(
 )
 
 
-SENSOR_TIME_OFFSET = Effect(
+SENSOR_TIME_OFFSET = _sensor(
     name="sensor_time_offset",
     law_of="lateness",
     title="A constant time offset of the recording",
-    kind="sensor",
     physics="Recorder and motion are started separately.",
     equation="a(t) → a(t − τ)",
     parameters=(amplitude("offset_s", "τ: the record is late", (-10, 10), (-0.01, 0.01), 1e-4, unit="s"),),
@@ -80,14 +80,13 @@ SENSOR_TIME_OFFSET = Effect(
     },
     measure=lambda true, values: resampled(true, true.t_s - float(values["offset_s"])),
     shifts_time=True,
-    remedy="Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join).",
+    remedy=JOIN,
 )
 
 
-SENSOR_CLOCK_DRIFT = Effect(
+SENSOR_CLOCK_DRIFT = _sensor(
     name="sensor_clock_drift",
     title="A fast or slow recorder clock",
-    kind="sensor",
     physics="Accelerometers sample with their own oscillators, accurate to a percent or two.",
     equation="a(t) → a(t / (1 + ε))",
     parameters=(amplitude("relative_drift", "ε: the clock is fast", (-0.2, 0.2), (-0.02, 0.02), 1e-4),),
@@ -95,7 +94,7 @@ SENSOR_CLOCK_DRIFT = Effect(
     confounded_with={"sensor_time_offset": "Beginning and end of one recording: an offset is the same at both."},
     measure=lambda true, values: resampled(true, true.t_s / (1 + float(values["relative_drift"]))),
     shifts_time=True,
-    remedy="Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join).",
+    remedy=JOIN,
 )
 
 
@@ -103,18 +102,14 @@ def low_passed(x: FloatArray, rate_hz: float, time_constant_s: float, damping_ra
     """Return a signal, (n,), through T ẏ + y = x, or T² ÿ + 2 ζ T ẏ + y = x where ζ is not zero; at rest before it."""
     from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-    poles = (
-        [time_constant_s, 1.0]
-        if damping_ratio == 0.0
-        else [time_constant_s**2, 2 * damping_ratio * time_constant_s, 1.0]
-    )
+    second = [time_constant_s**2, 2 * damping_ratio * time_constant_s, 1.0]
+    poles = second if damping_ratio else [time_constant_s, 1.0]
     b, a, _ = cont2discrete(([1.0], poles), 1 / rate_hz, "foh")
     b = np.ravel(b)
     return np.asarray(lfilter(b, a, x, zi=lfilter_zi(b, a) * x[0])[0])
 
 
 def _lagging(true: Signals, values: Values) -> Signals:
-    """Delay and low-pass the signals of an axis."""
     columns = np.column_stack([true.position, true.nozzle[:, 0]])
     rate = float((len(true.t_s) - 1) / (true.t_s[-1] - true.t_s[0]))
     for i, (delay, constant) in enumerate(zip(values["delay_s"], values["time_constant_s"], strict=True)):
@@ -127,10 +122,9 @@ def _lagging(true: Signals, values: Values) -> Signals:
     return replace(true, position=columns[:, :2], nozzle=nozzle)
 
 
-SENSOR_LAG = Effect(
+SENSOR_LAG = _sensor(
     name="sensor_lag",
     title="Sensors with a delay or a low-pass",
-    kind="sensor",
     physics="Encoders are read in turn, and filters and interfaces delay each sensor differently.",
     equation="T² ÿ + 2 ζ T ẏ + y = x(t − τ);  ζ = 0: T ẏ + y = x(t − τ)",
     parameters=(

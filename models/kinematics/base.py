@@ -123,9 +123,9 @@ class Kinematics(ABC):
         return False
 
     @property
-    @abstractmethod
     def centre_mm(self) -> tuple[float, float]:
         """Return the middle of the bed."""
+        return 0.0, 0.0
 
     @property
     @abstractmethod
@@ -138,14 +138,14 @@ class Kinematics(ABC):
         """Return the greatest height of the nozzle."""
 
     @property
-    @abstractmethod
     def model_reach_mm(self) -> float:
         """Return how far from the origin the vibrations change with position; zero where they are the same."""
+        return 0.0
 
     @property
-    @abstractmethod
     def spare_reach_mm(self) -> float:
         """Return how far beyond `model_reach_mm` the arms could still go before one lies flat."""
+        return np.inf
 
     @property
     @abstractmethod

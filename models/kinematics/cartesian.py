@@ -119,14 +119,11 @@ class CartesianKinematics(Kinematics):
     def setup_notes(self) -> list[str]:
         """Return a checklist for the printer before its vibrations are measured."""
         if np.array_equal(self.motor_matrix, COREXY):
-            return [
-                "- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."
-            ]
-        return [
-            "- Where the bed itself moves along y, the accelerometer is screwed to the bed for the experiments "
-            "along y:",
-            "  plan these by themselves, with --axes y.",
-        ]
+            return ["- The firmware's kinematics is CoreXY: both motors' belts move the nozzle along x and along y."]
+        bed = (
+            "- Where the bed itself moves along y, the accelerometer is screwed to the bed for the experiments along y:"
+        )
+        return [bed, "  plan these by themselves, with --axes y."]
 
     @property
     def bed_may_move(self) -> bool:
@@ -139,16 +136,6 @@ class CartesianKinematics(Kinematics):
         bed = self.range_mm[:2]
         x, y = bed.mean(axis=1).tolist() if np.isfinite(bed).all() else (0.0, 0.0)
         return x, y
-
-    @property
-    def model_reach_mm(self) -> float:
-        """Return how far from the origin the vibrations change with position; zero where they are the same."""
-        return 0.0
-
-    @property
-    def spare_reach_mm(self) -> float:
-        """Return how far beyond `model_reach_mm` the arms could still go before one lies flat."""
-        return np.inf
 
     def printer_parameters(self) -> dict[str, FloatArray | float]:
         """Return the fields of the nonlinear printer's record that follow from the kinematics, SI."""

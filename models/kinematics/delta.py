@@ -23,18 +23,8 @@ from typing import ClassVar
 import numpy as np
 
 from models.arrays import BoolArray, FloatArray, constant
-from models.kinematics.base import (
-    ALONG,
-    AXES,
-    INSIDE_MM,
-    SLACK_MM,
-    TOWERS,
-    Compiled,
-    Kinematics,
-    SlowZones,
-    require,
-    rings,
-)
+from models.kinematics import base
+from models.kinematics.base import ALONG, AXES, INSIDE_MM, SLACK_MM, TOWERS, Compiled, Kinematics, SlowZones
 
 LOWEST_Z_MM = -5.0  # below the bed: room for a calibrated or baby-stepped first layer
 OUTER_SHARE = 0.8  # of the print radius: a position where the vibrations differ from the centre's
@@ -69,11 +59,6 @@ class DeltaKinematics(Kinematics):
         """Return (3, 2) mm, columns X Y: each arm's carriage joint relative to the effector's centre."""
         angles = self.tower_angles_rad
         return self.delta_radii_mm[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-    @property
-    def centre_mm(self) -> tuple[float, float]:
-        """Return the middle of the bed."""
-        return 0.0, 0.0
 
     @property
     def bed_radius_mm(self) -> float:
@@ -168,7 +153,7 @@ class DeltaKinematics(Kinematics):
         """Return nozzle positions, the lower of the two points where the arms' spheres meet (Eqs. 3-5)."""
         xyz = self.compiled().forward(q)
         apart = "The carriages at A = {:.3f}, B = {:.3f}, C = {:.3f} mm stand too far apart for the arms to meet."
-        require(np.isfinite(xyz[:, 2]), q, apart)
+        base.require(np.isfinite(xyz[:, 2]), q, apart)
         return xyz
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
@@ -232,7 +217,7 @@ class DeltaKinematics(Kinematics):
 
     def rings(self, radii: int, directions: int) -> FloatArray:
         """Return the origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""
-        return rings(np.linspace(0, self.print_radius_mm, radii + 1)[1:], directions)
+        return base.rings(np.linspace(0, self.print_radius_mm, radii + 1)[1:], directions)
 
     def around(self, share: float, margin_mm: float) -> FloatArray:
         """Return six positions (6, 2) mm around the centre, at a share of the way out and a margin from the border."""
@@ -248,7 +233,7 @@ class DeltaKinematics(Kinematics):
         """Return joint vectors s_i, (n, 3, 3) with rows A B C and columns X Y Z, and heights h_i, (n, 3); mm."""
         across = xy[:, None, :2] - self.towers_mm
         squared = self.arm_lengths_mm**2 - np.sum(across**2, axis=-1)
-        require(
+        base.require(
             np.all(squared > 0, axis=1),
             xy,
             "The point X = {:.3f}, Y = {:.3f} mm is farther from a tower than the length of its arm.",

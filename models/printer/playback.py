@@ -39,26 +39,14 @@ def play(
 
     Parameters
     ----------
-    machines : sequence of Machine
-    rows : callable, or a sequence of one for each machine
-        Carriage positions, columns A B C. A cubic hold reads some rows past the last, and takes one command only.
-    count : int
-        Rows that are played, at least two.
-    row_s : float
-        Time from row to row, s.
-    hold : {"cubic", "linear"}
-        How the command runs from row to row.
-    gravity : bool
-    chunk_rows : int
-        Intervals of a chunk.
-    threads : int
-    substeps : int, optional
-        Integration steps from row to row. None: automatic for each printer.
+    rows : of all machines, or one for each: carriage positions, columns A B C. A cubic hold reads some rows past the
+        last, and takes one command only.
+    count : rows that are played, at least two
+    row_s : s, from row to row
+    hold, gravity, substeps : as for `simulate_printer`
+    chunk_rows : intervals of a chunk
 
-    Yields
-    ------
-    int, list of PrinterMotion
-        The first row of a chunk, and one motion a machine. A chunk begins with the last row of the one before.
+    Yields the first row of a chunk, and one motion a machine. A chunk begins with the last row of the one before.
 
     Raises
     ------
@@ -125,28 +113,14 @@ def simulate_batch(
 
     Parameters
     ----------
-    commands : sequence of (n, 3) array
-        Carriage heights of each section, mm, columns A B C.
-    rests : sequence of int or None
-        Rows of rest since the section before. None: the nozzle has been moved in between.
-    row_s : float
-        Time from row to row, s.
-    after : int
-        Rows to observe after a section's last.
-    observe : callable
-        The observed quantity of a motion.
-    delay_s : float
-        Delay of the observation, s.
+    commands : carriage heights of each section, (n, 3) mm, columns A B C
+    rests : rows of rest since the section before; None: the nozzle has been moved in between
+    row_s : s, from row to row
+    after : rows to observe after a section's last
+    observe : the observed quantity of a motion
+    delay_s : s, of the observation
 
-    Returns
-    -------
-    list of (n + after, 3) array
-        mm.
-
-    Raises
-    ------
-    ValueError
-        If the printer cannot be simulated under a command.
+    Returns (n + after, 3) mm of each section; ValueError if the printer cannot be simulated under a command.
     """
     memory = round(memory_s(machine) / row_s)
     lines, observed = _lines(commands, rests, after, memory), []

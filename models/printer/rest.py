@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.polynomial import polyvander2d
 
 from models.arrays import FloatArray
-from models.compiled import kernel
 from models.effects.catalogue import effective_machine
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
@@ -88,6 +88,7 @@ def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> lis
 
 
 ORDER = 8
+LOW = np.add.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)).ravel() <= ORDER
 _RINGS, _ANGLES = 9, 18
 
 
@@ -99,35 +100,21 @@ def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
     if not plant.vibration.gravity_loaded:
         return np.zeros((len(nozzle), 3))
     reach = plant.kinematics.bed_radius_mm
-    return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
+    return np.asarray(_powers(nozzle[:, :2] / reach) @ _coefficients(plant))
 
 
-@kernel
 def _powers(xy: FloatArray) -> FloatArray:
     """Compute x^i y^j for all i + j up to ORDER : (m, 45) of (m, 2)."""
-    out = np.empty((len(xy), (ORDER + 1) * (ORDER + 2) // 2))
-    for m in range(len(xy)):
-        k, of_x = 0, 1.0
-        for i in range(ORDER + 1):
-            both = of_x
-            for _ in range(ORDER + 1 - i):
-                out[m, k] = both
-                both *= xy[m, 1]
-                k += 1
-            of_x *= xy[m, 0]
-    return out
+    return np.asarray(polyvander2d(xy[:, 0], xy[:, 1], (ORDER, ORDER))[:, LOW])
 
 
 @lru_cache(maxsize=64)
 def _coefficients(plant: Machine) -> FloatArray:
     """Fit a polynomial of the eighth order over the bed, (45, 3) mm; its error is at most 10 nm."""
     reach = plant.kinematics.bed_radius_mm
-    radius, angle = np.meshgrid(
-        reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
-    )
-    positions = np.column_stack(
-        [(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), 0 * radius.ravel()]
-    )
+    rings, around = reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
+    radius, angle = (each.ravel() for each in np.meshgrid(rings, around))
+    positions = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0 * radius])
     commands = plant.kinematics.compiled().inverse(positions)
     heavy, weightless = (printer_parameters(plant, gravity=g) for g in (True, False))
     kinematics = effective_machine(plant).kinematics

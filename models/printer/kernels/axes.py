@@ -35,7 +35,7 @@ from models.printer.kernels import record as r
 from models.printer.kernels.friction import guide_force
 from models.printer.kernels.motors import command_at, drive_of_axes, effective_stretch, rippled, torque
 from models.printer.kernels.record import LANES, NO, ONE, ROWS, THREE, TWO, YES, ZERO, ActiveEffects, Row, Vector
-from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, inlined, unrolled, vector
+from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, inlined, plus, unrolled, vector
 
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
 
@@ -153,12 +153,6 @@ def _store(m: FloatArray, row: Row, n: int, values: PerMode) -> int:
     """Store a row of each mode."""
     m[row * LANES + n] = values[0]
     return _store(m, row + EACH, n, values[1:])
-
-
-@unrolled(end=())
-def _plus(by: float, k: PerMode, y: PerMode) -> PerMode:
-    """Return y + by k."""
-    return (y[0] + by * k[0], *_plus(by, k[1:], y[1:]))
 
 
 @unrolled(end=())
@@ -348,12 +342,12 @@ def _put_sway(m: FloatArray, l: int, sway: Sway) -> None:
 
 @inlined
 def _moved(y: Axes, k: Axes, by: float) -> Axes:
-    return _moved_axis(y[0], k[0], by), _moved_axis(y[1], k[1], by), _moved_axis(y[2], k[2], by), _plus(by, k[3], y[3])
+    return _moved_axis(y[0], k[0], by), _moved_axis(y[1], k[1], by), _moved_axis(y[2], k[2], by), plus(by, k[3], y[3])
 
 
 @inlined
 def _moved_axis(y: Axis, k: Axis, by: float) -> Axis:
-    return y[0] + by * k[0], _plus(by, k[1], y[1]), _plus(by, k[2], y[2])
+    return y[0] + by * k[0], plus(by, k[1], y[1]), plus(by, k[2], y[2])
 
 
 @inlined
@@ -383,7 +377,7 @@ def _rates(m: FloatArray, y: Axes, half: Row, l: int, has: Terms) -> Axes:
 def _heavier(m: FloatArray, n: int, height: float, rates: Axis) -> Axis:
     """Return the rates of an axis whose mass is larger than at the bed."""
     more = at(m, r.growth, n) * height
-    return rates[0], rates[1], _plus(1.0 / (1.0 + more) - 1.0, rates[2], rates[2])
+    return rates[0], rates[1], plus(1.0 / (1.0 + more) - 1.0, rates[2], rates[2])
 
 
 @inlined

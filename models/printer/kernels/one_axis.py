@@ -24,7 +24,7 @@ import numpy as np
 from models.arrays import FloatArray
 from models.printer.kernels.friction import bristle_rate, sliding_level, strain_rate
 from models.printer.kernels.motors import belt_force, ripple
-from models.printer.kernels.vectors import compiled, inlined
+from models.printer.kernels.vectors import compiled, inlined, plus
 
 # The parameters of one axis by itself: those of its model, those that printers have too, and its own.
 AXIS_PARAMETERS = (
@@ -182,27 +182,14 @@ def _rate_at(x: State, at: float, begun: float, inputs: AxisInput, p: FloatArray
 
 
 @inlined
-def _moved(x: State, h: float, k: State) -> State:
-    """Return x + h k."""
-    return (
-        x[0] + h * k[0],
-        x[1] + h * k[1],
-        x[2] + h * k[2],
-        x[3] + h * k[3],
-        x[4] + h * k[4],
-        x[5] + h * k[5],
-    )
-
-
-@inlined
 def _step(x: State, first: State, at: float, h: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
     """Step by the classical Runge-Kutta method from x, whose rate is `first`, so many samples after the first."""
     middle = at + 0.5 * h / inputs.dt
-    second = _rate_at(_moved(x, 0.5 * h, first), middle, at, inputs, p, ripples)
-    third = _rate_at(_moved(x, 0.5 * h, second), middle, at, inputs, p, ripples)
-    last = _rate_at(_moved(x, h, third), at + h / inputs.dt, at, inputs, p, ripples)
-    mean = _moved(_moved(_moved(first, 2.0, second), 2.0, third), 1.0, last)
-    return _moved(x, h / 6.0, mean)
+    second = _rate_at(plus(0.5 * h, first, x), middle, at, inputs, p, ripples)
+    third = _rate_at(plus(0.5 * h, second, x), middle, at, inputs, p, ripples)
+    last = _rate_at(plus(h, third, x), at + h / inputs.dt, at, inputs, p, ripples)
+    end: State = plus(h / 6.0, plus(1.0, last, plus(2.0, third, plus(2.0, second, first))), x)
+    return end
 
 
 @inlined

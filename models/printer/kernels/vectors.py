@@ -59,6 +59,12 @@ def unrolled(end: Any) -> Callable[[Callable[..., Any]], Any]:
     return declare
 
 
+@unrolled(end=())
+def plus(by: float, k: tuple[float, ...], y: tuple[float, ...]) -> Any:
+    """Return y + by k."""
+    return (y[0] + by * k[0], *plus(by, k[1:], y[1:]))
+
+
 @inlined
 def at(m: FloatArray, row: Row, l: int) -> float:
     """Return a row of lane l."""
