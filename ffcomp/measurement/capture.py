@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from itertools import combinations
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,19 +36,7 @@ class Capture(Uniform):
     overflows: int = 0  # samples that the chip lost, as far as the file says it
 
 
-def make_capture(
-    path: str,
-    table: Table,
-    time_s: FloatArray,
-    acceleration: FloatArray,
-    *,
-    axis: str | None = None,
-    position_mm: Point | None = None,
-    excitation_hz: float | None = None,
-    name: str = "",
-    clock: ClockKind = "free",
-    overflows: int = 0,
-) -> Capture:
+def make_capture(path: str, table: Table, time_s: FloatArray, acceleration: FloatArray, **stated: Any) -> Capture:
     """Check the rows of a file and bring them to a uniform clock.
 
     Parameters
@@ -55,6 +44,7 @@ def make_capture(
     table : the file's rows, for their numbers and for what is wrong with them already
     time_s : (n,) s
     acceleration : (n, 3) m/s², columns X Y Z of the chip
+    stated : other fields of the capture, as far as the file states them
 
     Raises
     ------
@@ -67,32 +57,27 @@ def make_capture(
     problems += [text.replace("column t_s", f"column {table.columns[0]}") for text in clock_problems]
     for j, axis_name in enumerate("xyz"):
         problems += broken_sensor(f"acc_{axis_name}", acceleration[:, j], table.row)
-    problems += [*_implausible(acceleration), *_same_columns(acceleration)] if not problems else []
+    problems = problems or _implausible(acceleration)
     if problems or uniform is None:
         raise MeasurementError(path, problems)
     on_grid = np.column_stack([uniform.on_grid(acceleration[timed, j]) for j in range(3)])
-    return Capture(path, uniform.grid_s, on_grid, axis, position_mm, excitation_hz, name, clock, overflows)
+    return Capture(path, uniform.grid_s, on_grid, **stated)
 
 
 def _implausible(acceleration: FloatArray) -> list[str]:
-    """Check the size of an acceleration (n, 3) m/s²."""
+    """Check the size of an acceleration (n, 3) m/s², and that no axis was exported twice."""
     known = acceleration[np.isfinite(acceleration).all(axis=1)]
     rms = float(np.sqrt((known**2).sum(axis=1).mean())) if len(known) else 1.0
     low, high = _PLAUSIBLE_RMS
-    if low < rms < high:
-        return []
-    return [
-        f"The acceleration is {rms:.3g} m/s² rms; a sensor on Earth measures between {low:g} and {high:g}. Are the "
-        "numbers in a unit other than the file format's?"
+    problems = [
+        f"The columns of {'xyz'[i]} and {'xyz'[j]} are the same in every row: one axis was exported twice. Export all "
+        "three."
+        for i, j in combinations(range(3), 2)
+        if np.array_equal(known[:, i], known[:, j])
     ]
-
-
-def _same_columns(acceleration: FloatArray) -> list[str]:
-    """Report axes (n, 3) that hold the same numbers: an error of the export."""
-    known = acceleration[np.isfinite(acceleration).all(axis=1)]
-    return [
-        f"The columns of {first} and {second} are the same in every row: one axis was exported twice. Export all three."
-        for i, first in enumerate("xyz")
-        for j, second in enumerate("xyz")
-        if i < j and np.array_equal(known[:, i], known[:, j])
-    ]
+    if not low < rms < high:
+        problems.append(
+            f"The acceleration is {rms:.3g} m/s² rms; a sensor on Earth measures between {low:g} and {high:g}. Are the "
+            "numbers in a unit other than the file format's?"
+        )
+    return problems

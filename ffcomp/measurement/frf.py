@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, cast, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -55,72 +55,46 @@ class FrequencyResponse:
         )
 
 
-def variance_from_coherence(value: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """Compute E|δH|² = |H|² (1 − γ²)/(γ² n) of an H1 estimate from n independent averages (Bendat & Piersol, 2010).
-
-    Parameters
-    ----------
-    value : (k,) complex.
-    coherence : (k,) γ², between 0 and 1.
-
-    Returns
-    -------
-    (k,)
-    """
-    gamma2 = np.clip(coherence, 1e-12, 1.0)
-    return np.asarray(np.abs(value) ** 2 * (1 - gamma2) / (gamma2 * averages))
-
-
 CARRIAGES, AXES = "ABC", "xyz"
-INPUTS = tuple(f"{kind}_{axis}" for kind in ("cmd", "force") for axis in CARRIAGES + AXES)
-OUTPUTS = tuple(f"{kind}_{axis}" for kind in ("pos", "acc") for axis in CARRIAGES + AXES)
-KEYS = ("input", "output", "position_mm", "setup", "added_mass_kg", "averages", "clock")
+SIGNALS = {
+    end: tuple(f"{kind}_{axis}" for kind in kinds for axis in CARRIAGES + AXES)
+    for end, kinds in {"input": ("cmd", "force"), "output": ("pos", "acc")}.items()
+}
+NUMBERS = {"position_mm": 3, "added_mass_kg": 1, "averages": 1}  # how many each label has
+KEYS = (*SIGNALS, *NUMBERS, "setup", "clock")
 
 
-@dataclass(frozen=True)
-class ResponseLabels:
-    """Everything a file states about a response besides its lines."""
-
-    input: str
-    output: str
-    setup: Setup = "assembly"
-    position_mm: tuple[float, float, float] | None = None
-    added_mass_kg: float = 0.0
-    averages: float | None = None  # independent averages behind the coherence
-    clock: str = ""
-
-
-def read_labels(comments: Mapping[str, str]) -> tuple[ResponseLabels | None, list[str]]:
-    """Parse labels from `key: value` pairs, or return the problems, in full sentences.
+def read_labels(comments: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
+    """Parse `key: value` pairs to fields of a response and `averages`, and list the problems, in full sentences.
 
     Unknown keys are ignored, unless they are nearly a known one.
     """
-    others = [key for key in comments if key not in KEYS]
-    mistyped = [key for key in others if difflib.get_close_matches(key, KEYS, 1, 0.8)]
+    labels: dict[str, Any] = {key: comments[key] for key in KEYS if key in comments}
+    mistyped = [key for key in comments if key not in KEYS and difflib.get_close_matches(key, KEYS, 1, 0.8)]
     problems = [unknown(f"Label {key!r}", key, KEYS) for key in mistyped]
-    problems += _bad_name(comments, "input", INPUTS) + _bad_name(comments, "output", OUTPUTS)
-    setup = comments.get("setup", "assembly")
-    if setup not in get_args(Setup):
-        problems.append(unknown(f"Setup {setup!r}", setup, get_args(Setup)))
-    position = _numbers(comments, "position_mm", 3, problems)
-    mass = _numbers(comments, "added_mass_kg", 1, problems)
-    averages = _numbers(comments, "averages", 1, problems)
-    if mass and mass[0] < 0:
-        problems.append(f"Label 'added_mass_kg' is {mass[0]:g}; a mass that was added is not negative.")
-    if averages and averages[0] < 1:
-        problems.append(f"Label 'averages' is {averages[0]:g}; an estimate has at least one.")
-    if problems:
-        return None, problems
-    place = cast("tuple[float, float, float]", tuple(position)) if position else None
-    return ResponseLabels(
-        comments["input"],
-        comments["output"],
-        cast(Setup, setup),
-        place,
-        mass[0] if mass else 0.0,
-        averages[0] if averages else None,
-        comments.get("clock", ""),
-    ), []
+    for key, known in SIGNALS.items():
+        if key not in labels:
+            problems.append(f"Label '{key}' is missing; say '# {key}: {known[0]}' or another of {', '.join(known)}.")
+    for key, known in {**SIGNALS, "setup": get_args(Setup)}.items():
+        if labels.get(key, known[0]) not in known:
+            problems.append(unknown(f"The {key} {labels[key]!r}", labels[key], known))
+    for key, count in NUMBERS.items():
+        if key not in labels:
+            continue
+        text = labels.pop(key)
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not np.isfinite(values).all():
+            problems.append(f"Label '{key}' is {text[:40]!r}; it must be {count} finite number{'s' * (count > 1)}.")
+        else:
+            labels[key] = values if count > 1 else values[0]
+    if labels.get("added_mass_kg", 0.0) < 0:
+        problems.append(f"Label 'added_mass_kg' is {labels['added_mass_kg']:g}; a mass that was added is not negative.")
+    if labels.get("averages", 1.0) < 1:
+        problems.append(f"Label 'averages' is {labels['averages']:g}; an estimate has at least one.")
+    return labels, problems
 
 
 def describe(response: FrequencyResponse) -> dict[str, str]:
@@ -139,22 +113,3 @@ def unknown(what: str, name: str, known: Sequence[str]) -> str:
     """Write a sentence about an unknown name, with the nearest known one."""
     near = closest(name, known)
     return f"{what} is unknown; " + (f"did you mean {near!r}?" if near else f"known are {', '.join(known)}.")
-
-
-def _bad_name(comments: Mapping[str, str], key: str, known: Sequence[str]) -> list[str]:
-    if key not in comments:
-        return [f"Label '{key}' is missing; say '# {key}: {known[0]}' or another of {', '.join(known)}."]
-    return [] if comments[key] in known else [unknown(f"The {key} {comments[key]!r}", comments[key], known)]
-
-
-def _numbers(comments: Mapping[str, str], key: str, count: int, problems: list[str]) -> list[float]:
-    if key not in comments:
-        return []
-    try:
-        values = [float(part) for part in comments[key].split(",")]
-    except ValueError:
-        values = []
-    if len(values) == count and np.isfinite(values).all():
-        return values
-    problems.append(f"Label '{key}' is {comments[key][:40]!r}; it must be {count} finite number{'s' * (count > 1)}.")
-    return []

@@ -22,7 +22,6 @@ others are read by those fields and by the data types of ordinate and denominato
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -30,10 +29,10 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_coeffs
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import KEYS, FrequencyResponse, describe, read_labels, unknown, variance_from_coherence
+from ffcomp.measurement.frf import KEYS, FrequencyResponse, describe, read_labels, unknown
 from ffcomp.measurement.table import read_table, read_text, repeated_columns
 from models.arrays import ComplexArray, FloatArray
 
@@ -53,7 +52,7 @@ def read_frfs(path: str | Path) -> list[FrequencyResponse]:
     response. A line at 0 Hz is left out.
     """
     if is_universal(path):
-        return _from_universal(str(path))
+        return _read_universal(str(path))
     table = read_table(path, read_text(path))
     problems = [*table.problems, *_bad_header(table.columns)]
     if problems:
@@ -89,47 +88,32 @@ def build(
     """Build a response from its labels and its lines (k,), or return the problems, in full sentences."""
     labels, problems = read_labels(comments)
     problems += _bad_lines(frequency_hz, value, coherence, variance)
-    if labels is None or problems:
+    if problems:
         return None, problems
-    above = frequency_hz > 0
-    frequency_hz, value = frequency_hz[above], value[above]
+    above, averages = frequency_hz > 0, labels.pop("averages", None)
+    value, frequency_hz = value[above], frequency_hz[above]
     coherence, variance = (None if extra is None else extra[above] for extra in (coherence, variance))
     if variance is None:
-        variance = _estimated_variance(value, coherence, labels.averages)
-    return FrequencyResponse(
-        input=labels.input,
-        output=labels.output,
+        variance = _estimated_variance(value, coherence, averages)
+    response = FrequencyResponse(
         frequency_hz=frequency_hz,
         value=value,
         variance=variance,
-        setup=labels.setup,
-        position_mm=labels.position_mm,
-        added_mass_kg=labels.added_mass_kg,
         coherence=coherence,
         source=Path(path).name,
-        clock=labels.clock,
-    ), []
-
-
-def _from_universal(path: str) -> list[FrequencyResponse]:
-    responses, problems = [], []
-    for number, dataset in read_universal(path).items():
-        response, wrong = build(
-            path, dataset.labels, dataset.frequency_hz, dataset.value, dataset.coherence, dataset.variance
-        )
-        responses += [] if response is None else [response]
-        problems += [f"Data set {number}: {text}" for text in wrong]
-    if problems:
-        raise MeasurementError(path, problems)
-    return responses
+        **labels,
+    )
+    return response, []
 
 
 def _estimated_variance(value: ComplexArray, coherence: FloatArray | None, averages: float | None) -> FloatArray:
+    """Compute E|δH|² = |H|² (1 − γ²)/(γ² n) of an H1 estimate from n independent averages (Bendat & Piersol, 2010)."""
     smallest = _SMALLEST_RELATIVE_VARIANCE * np.abs(value) ** 2
-    rough = roughness_variance(value)
+    rough = _roughness_variance(value)
     if coherence is None:
         return np.maximum(rough, smallest)
-    shape = variance_from_coherence(value, coherence, 1.0)
+    square = np.clip(coherence, 1e-12, 1.0)
+    shape = np.abs(value) ** 2 * (1 - square) / square
     if averages is None:
         averages = max(1.0, float(np.median(shape) / max(np.median(rough), 1e-300)))
     return np.maximum(shape / averages, smallest)
@@ -167,17 +151,16 @@ _WINDOW = 9  # lines
 _DEGREE = 2
 
 
-def roughness_variance(value: ComplexArray) -> FloatArray:
+def _roughness_variance(value: ComplexArray) -> FloatArray:
     """Estimate E|δ|² of each line from the residual to a quadratic through the lines around it, (k,) → (k,).
 
     A quadratic through the w lines around a line leaves of white noise at that line 1 − h, h the middle coefficient of
     the fit (Savitzky & Golay, 1964); the squares are averaged over w lines.
     """
-    coefficients = savgol_coeffs(_WINDOW, _DEGREE)
-    inner = np.convolve(value, coefficients, mode="valid")
+    residual = value - savgol_filter(value.real, _WINDOW, _DEGREE) - 1j * savgol_filter(value.imag, _WINDOW, _DEGREE)
     half = _WINDOW // 2
-    residual = np.pad(value[half:-half] - inner, half, mode="edge")
-    square = np.abs(residual) ** 2 / (1 - coefficients[half])
+    square = np.pad(np.abs(residual[half:-half]) ** 2, half, mode="edge")
+    square = square / (1 - savgol_coeffs(_WINDOW, _DEGREE)[half])
     return np.asarray(uniform_filter1d(square, _WINDOW, mode="nearest"), dtype=np.float64)
 
 
@@ -191,17 +174,11 @@ _SI = {"m": 1.0, "mm": 1e-3, "m/s": 1.0, "mm/s": 1e-3, "n": 1.0, "mn": 1e-3, "kn
 _SI |= dict.fromkeys(("m/s2", "m/s^2", "m/s**2", "m/s²", "m/sec2", "m/sec^2"), 1.0)
 _SI |= dict.fromkeys(("mm/s2", "mm/s^2", "mm/s**2", "mm/s²"), 0.001)
 _NO_LABEL = ("", "none")
-
-
-@dataclass(frozen=True, eq=False)
-class Dataset:
-    """One response as the file has it, in SI."""
-
-    labels: dict[str, str]  # labels
-    frequency_hz: FloatArray  # (k,)
-    value: ComplexArray  # (k,)
-    coherence: FloatArray | None = None
-    variance: FloatArray | None = None
+_EXTRAS = {"coherence": _COHERENCE, "variance": _GENERAL}
+_ENDS = {  # of a response: its end and part in the file, the power of its unit, the signals by their data type
+    "input": ("ref", "orddenom", -1, {_DISPLACEMENT: "cmd", _REACTION: "force", _EXCITATION: "force"}),
+    "output": ("rsp", "ordinate", 1, {_DISPLACEMENT: "pos", _VELOCITY: "acc", _ACCELERATION: "acc"}),
+}
 
 
 def is_universal(path: str | Path) -> bool:
@@ -214,24 +191,27 @@ def is_universal(path: str | Path) -> bool:
     return len(head) == 2 and head[0].strip() == b"-1" and head[1].strip()[:1].isdigit()
 
 
-def read_universal(path: str | Path) -> dict[int, Dataset]:
-    """Read the responses of a universal file by data set number (from 1); MeasurementError if there is none."""
-    sets = _sets(str(path))
-    length, force = _unit_factors(sets)
+def _read_universal(path: str) -> list[FrequencyResponse]:
+    """Read the responses of a universal file; MeasurementError if there is none."""
+    sets = _sets(path)
+    units: Mapping[str, Any] = next((one for one in sets.values() if one["type"] == 164), {})
     kinds = {number: _function(one) for number, one in sets.items() if one["type"] == 58}
-    responses = {number: sets[number] for number, kind in kinds.items() if kind == _FRF}
-    if not responses:
-        raise MeasurementError(str(path), ["There is no frequency response (data set 58, function type 4) in it."])
-    problems: list[str] = []
-    datasets = {number: _dataset(number, one, length, force, problems) for number, one in responses.items()}
+    if _FRF not in kinds.values():
+        raise MeasurementError(path, ["There is no frequency response (data set 58, function type 4) in it."])
+    extras = {(_dof(sets[n]), kind): np.real(sets[n]["data"]) for n, kind in reversed(kinds.items())}
+    responses, problems = [], list[str]()
+    for number, one in sets.items():
+        if kinds.get(number) != _FRF:
+            continue
+        labels, value, wrong = _described(one, units)
+        mates = {name: extras.get((_dof(one), kind)) for name, kind in _EXTRAS.items()}
+        frequency = np.asarray(one["x"], dtype=np.float64)
+        response, more = build(path, labels, frequency, value, **mates) if not wrong else (None, [])
+        responses += [] if response is None else [response]
+        problems += [f"Data set {number}: {text}" for text in (*wrong, *more)]
     if problems:
-        raise MeasurementError(str(path), problems)
-    for number, kind in kinds.items():
-        mate = next((n for n, one in responses.items() if _dof(one) == _dof(sets[number])), None)
-        if kind in (_COHERENCE, _GENERAL) and mate is not None:
-            key = "coherence" if kind == _COHERENCE else "variance"
-            datasets[mate] = replace(datasets[mate], **{key: np.real(sets[number]["data"])})
-    return datasets
+        raise MeasurementError(path, problems)
+    return responses
 
 
 def _pyuff(path: str) -> ModuleType:
@@ -263,27 +243,25 @@ def _dof(one: Mapping[str, Any]) -> tuple[int, ...]:
     return (*(int(one[key]) for key in ("rsp_node", "rsp_dir", "ref_node", "ref_dir", "ver_num")), len(one["x"]))
 
 
-def _dataset(number: int, one: Mapping[str, Any], length: float, force: float, problems: list[str]) -> Dataset:
-    labels, frequency = _labels(one), np.asarray(one["x"], dtype=np.float64)
-    value = np.asarray(one["data"], dtype=np.complex128)
-    kinds = [int(one[f"{part}_spec_data_type"]) for part in ("ordinate", "orddenom")]
-    if "input" not in labels:
-        labels["input"] = _signal(
-            one, "ref", {_DISPLACEMENT: "cmd", _REACTION: "force", _EXCITATION: "force"}, kinds[1]
-        )
-    if "output" not in labels:
-        outputs = {_DISPLACEMENT: "pos", _VELOCITY: "acc", _ACCELERATION: "acc"}
-        labels["output"] = _signal(one, "rsp", outputs, kinds[0])
-    for end in ("input", "output"):
-        if not labels[end]:
+def _described(one: Mapping[str, Any], units: Mapping[str, Any]) -> tuple[dict[str, str], ComplexArray, list[str]]:
+    """Return the labels of a response, its values in SI with the sign of the directions, and the problems."""
+    labels, problems, value = _labels(one), list[str](), np.asarray(one["data"], dtype=np.complex128)
+    for name, (end, part, power, words) in _ENDS.items():
+        kind, direction = int(one[f"{part}_spec_data_type"]), int(one[f"{end}_dir"])
+        if not labels.setdefault(name, _signal(one, end, words, kind)):
             problems.append(
-                f"Data set {number}: its {end} cannot be derived from its direction and data type "
-                f"{kinds[end == 'input']}; say 'input: cmd_A; output: pos_A' (or what it is) in the ID lines."
+                f"its {name} cannot be derived from its direction and data type {kind}; say 'input: cmd_A; output: "
+                "pos_A' (or what it is) in the ID lines."
             )
-    value = value * _scale(number, one, kinds, length, force, problems)
-    if kinds[0] == _VELOCITY:
-        value = value * 2j * np.pi * frequency
-    return Dataset(labels, frequency, value)
+        label = str(one.get(f"{part}_axis_units_lab", "")).strip().lower()
+        if label not in _NO_LABEL and label not in _SI:
+            problems.append(f"unit {label!r} is unknown; known are {', '.join(_SI)}.")
+        quantity = "force" if kind in (_REACTION, _EXCITATION) else "length"
+        default = 1.0 / (float(units.get(quantity, 1.0)) or 1.0)  # data set 164: from SI to the file's units
+        value = value * float(np.sign(direction or 1)) * _SI.get(label, default) ** power
+        if kind == _VELOCITY and end == "rsp":
+            value = value * 2j * np.pi * np.asarray(one["x"], dtype=np.float64)
+    return labels, value, problems
 
 
 def _labels(one: Mapping[str, Any]) -> dict[str, str]:
@@ -292,33 +270,11 @@ def _labels(one: Mapping[str, Any]) -> dict[str, str]:
     return {key.strip().lower(): value.strip() for key, value in pairs if key.strip().lower() in KEYS}
 
 
-def _signal(one: Mapping[str, Any], end: str, kinds: Mapping[int, str], kind: int) -> str:
+def _signal(one: Mapping[str, Any], end: str, words: Mapping[int, str], kind: int) -> str:
     """Name a signal by its node, direction and data type; '' if they do not name it."""
     node, direction = int(one[f"{end}_node"]), abs(int(one[f"{end}_dir"]))
-    if kind not in kinds or direction not in (1, 2, 3):
+    if kind not in words or direction not in (1, 2, 3):
         return ""
-    on_carriage = (
-        node in (1, 2, 3) and direction == 3 and _EXCITATION not in (kind, int(one["orddenom_spec_data_type"]))
-    )
-    return f"{kinds[kind]}_{'ABC'[node - 1] if on_carriage else 'xyz'[direction - 1]}"
-
-
-def _scale(
-    number: int, one: Mapping[str, Any], kinds: list[int], length: float, force: float, problems: list[str]
-) -> float:
-    """Return the factor to SI, with the sign of the directions."""
-    sign = float(np.sign(int(one["rsp_dir"]) or 1) * np.sign(int(one["ref_dir"]) or 1))
-    factors = []
-    for part, kind in zip(("ordinate", "orddenom"), kinds, strict=True):
-        label = str(one.get(f"{part}_axis_units_lab", "")).strip().lower()
-        if label not in _NO_LABEL and label not in _SI:
-            problems.append(f"Data set {number}: unit {label!r} is unknown; known are {', '.join(_SI)}.")
-        default = 1 / force if kind in (_REACTION, _EXCITATION) else 1 / length
-        factors.append(_SI.get(label, default))
-    return sign * factors[0] / factors[1]
-
-
-def _unit_factors(sets: Mapping[int, Mapping[str, Any]]) -> tuple[float, float]:
-    """Return data set 164's factors of length and force, from SI to the file's units."""
-    units: Mapping[str, Any] = next((one for one in sets.values() if one["type"] == 164), {})
-    return float(units.get("length", 1.0)) or 1.0, float(units.get("force", 1.0)) or 1.0
+    hammer = _EXCITATION in (kind, int(one["orddenom_spec_data_type"]))
+    on_carriage = node in (1, 2, 3) and direction == 3 and not hammer
+    return f"{words[kind]}_{'ABC'[node - 1] if on_carriage else 'xyz'[direction - 1]}"

@@ -96,21 +96,21 @@ class Resonances:
         certain = [each for each in (name, *known) if each in self.psd]
         if certain or len(self.psd) == 1:
             return certain[0] if certain else next(iter(self.psd))
-        raise MeasurementError(self.source, [_several(list(self.psd))])
+        rule = (
+            f"It holds several spectra, {', '.join(self.psd)}, and neither its header nor its name says which one is "
+            "of the excited axis. Say --column NAME with one of them."
+        )
+        raise MeasurementError(self.source, [rule])
 
 
 def is_raw(line: str) -> bool:
     """Tell whether a line is the header of a capture."""
-    return _names(line.lstrip("#"), ",") == _RAW_HEADER
+    return tuple(name.strip().lower() for name in line.lstrip("#").split(",")) == _RAW_HEADER
 
 
 def is_paxxel(line: str) -> bool:
     """Tell whether a line is the header of a capture of py3dpaxxel."""
-    return _names(line, None) == _PAXXEL_HEADER
-
-
-def _names(line: str, delimiter: str | None) -> tuple[str, ...]:
-    return tuple(name.strip().lower() for name in line.split(delimiter))
+    return tuple(line.lower().split()) == _PAXXEL_HEADER
 
 
 def raw_capture(path: str, text: str) -> Capture:
@@ -118,16 +118,10 @@ def raw_capture(path: str, text: str) -> Capture:
     lines = text.splitlines()
     head = next(k for k, line in enumerate(lines) if is_raw(line))
     table = rows_of(path, lines, head + 1, _RAW_HEADER, {})
-    axis, point = _AXIS.search(Path(path).name), _POINT.search(Path(path).name)
+    lost = sum(int(count) for line in lines[:head] for count in _LOST.findall(line))
+    acceleration = table.values[:, 1:] * 1e-3
     return make_capture(
-        path,
-        table,
-        table.column("time"),
-        table.values[:, 1:] * 1e-3,
-        axis=axis[1] if axis else None,
-        position_mm=_point(point),
-        clock="firmware",
-        overflows=sum(int(count) for line in lines[:head] for count in _LOST.findall(line)),
+        path, table, table.column("time"), acceleration, clock="firmware", overflows=lost, **_named(path)
     )
 
 
@@ -142,13 +136,9 @@ def paxxel_capture(path: str, text: str) -> Capture:
     if np.ptp(table.column("seq")) > 0:
         raise MeasurementError(path, ["Column seq changes: there are several records in it; give each its own file."])
     name = _PAXXEL_NAME.search(Path(path).name)
+    excited = {} if name is None else {"axis": name[1], "excitation_hz": float(name[2])}
     return make_capture(
-        path,
-        table,
-        table.column("sample") / float(rate[1]),
-        table.values[:, 2:] * (G * 1e-3),
-        axis=name[1] if name else None,
-        excitation_hz=float(name[2]) if name else None,
+        path, table, table.column("sample") / float(rate[1]), table.values[:, 2:] * (G * 1e-3), **excited
     )
 
 
@@ -161,23 +151,17 @@ def resonances_of_table(path: str, table: Table) -> Resonances:
     problems = [*table.problems, *_bad_spectra(frequency, sets)]
     if problems:
         raise MeasurementError(path, problems)
-    axis, point = _AXIS.search(Path(path).name), _POINT.search(Path(path).name)
     per_hz = float(table.column("accel_per_hz")[0]) if "accel_per_hz" in table.columns else None
     normalised = bool(shapers) or any(name.startswith("shapers:") for name in table.columns)
     by_axis = all(name.startswith("psd_") for name in names if name not in shapers)
-    excited = axis[1] if axis else None
-    return Resonances(path, frequency, sets, normalised, excited, _point(point), per_hz, by_axis)
+    return Resonances(path, frequency, sets, normalised, accel_per_hz=per_hz, by_axis=by_axis, **_named(path))
 
 
-def _several(names: list[str]) -> str:
-    return (
-        f"It holds several spectra, {', '.join(names)}, and neither its header nor its name says which one is of the "
-        "excited axis. Say --column NAME with one of them."
-    )
-
-
-def _point(match: re.Match[str] | None) -> tuple[float, float, float] | None:
-    return None if match is None else (float(match[1]), float(match[2]), float(match[3]))
+def _named(path: str) -> dict[str, Any]:
+    """Return the excited axis and the point that a file's name states."""
+    axis, point = _AXIS.search(Path(path).name), _POINT.search(Path(path).name)
+    place = None if point is None else tuple(float(number) for number in point.groups())
+    return {"axis": axis and axis[1], "position_mm": place}
 
 
 def _bad_spectra(frequency: FloatArray, sets: dict[str, FloatArray]) -> list[str]:
@@ -213,10 +197,8 @@ def stdata_captures(path: str | Path) -> list[Capture]:
     MeasurementError
         If it cannot be unpacked, or a measurement cannot be used.
     """
-    captures = []
-    for number, line in enumerate(_unpacked(path).splitlines(), 1):
-        if line.strip():
-            captures.append(_capture(str(path), number, line))
+    lines = enumerate(_unpacked(path).splitlines(), 1)
+    captures = [_capture(str(path), number, line) for number, line in lines if line.strip()]
     if not captures:
         raise MeasurementError(str(path), ["There is no measurement in it."])
     return captures
@@ -231,21 +213,9 @@ def _capture(path: str, number: int, line: bytes) -> Capture:
         raise MeasurementError(path, [f"Line {number} cannot be read ({error}); {rule}."]) from error
     if samples.ndim != 2 or samples.shape[1] != 4:
         raise MeasurementError(path, [f"{name}: a sample is time, x, y, z, but they have the shape {samples.shape}."])
-    return _from_samples(path, name, samples)
-
-
-def _from_samples(path: str, name: str, samples: FloatArray) -> Capture:
-    table = Table(_RAW_HEADER, samples, np.arange(1, len(samples) + 1), {})
-    axis = _STDATA_AXIS.search(name)
-    return make_capture(
-        path,
-        table,
-        samples[:, 0],
-        samples[:, 1:] * 1e-3,
-        axis=_EXCITED[axis[1]] if axis else None,
-        name=name,
-        clock="firmware",
-    )
+    table, axis = Table(_RAW_HEADER, samples, np.arange(1, len(samples) + 1), {}), _STDATA_AXIS.search(name)
+    excited = _EXCITED[axis[1]] if axis else None
+    return make_capture(path, table, samples[:, 0], samples[:, 1:] * 1e-3, axis=excited, name=name, clock="firmware")
 
 
 def _unpacked(path: str | Path) -> bytes:

@@ -45,15 +45,9 @@ _RULE = (
     "name a time and three accelerations, as 't_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2'"
 )
 
-_LOG = (
-    "It is a log of motion and sensors of Klipper's data_logger.py; `ffcomp record join`, `gap` and `diagnose` read "
-    "it, with the plan of its moves (--plan)."
-)
-
-_MOTOR = (
-    "It is RepRapFirmware's log of one motor (M569.5), and holds no accelerations; `ffcomp record join`, `gap` and "
-    "`diagnose` read it, with the plan of its moves (--plan)."
-)
+_BY_JOIN = "`ffcomp record join`, `gap` and `diagnose` read it, with the plan of its moves (--plan)."
+_LOG = f"It is a log of motion and sensors of Klipper's data_logger.py; {_BY_JOIN}"
+_MOTOR = f"It is RepRapFirmware's log of one motor (M569.5), and holds no accelerations; {_BY_JOIN}"
 
 
 def read_vibration(path: str | Path) -> Capture | Resonances:
@@ -79,12 +73,12 @@ def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
     MeasurementError
         With every mistake in the file.
     """
-    if Path(path).is_file() and is_stdata(path):
-        return list(stdata_captures(path))
-    if Path(path).is_file() and is_motion_log(path):
-        raise MeasurementError(str(path), [_LOG])
-    if Path(path).is_file() and is_closed_loop(path):
-        raise MeasurementError(str(path), [_MOTOR])
+    if Path(path).is_file():
+        if is_stdata(path):
+            return list(stdata_captures(path))
+        for known, rule in ((is_motion_log, _LOG), (is_closed_loop, _MOTOR)):
+            if known(path):
+                raise MeasurementError(str(path), [rule])
     text = read_text(path)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     first = next((line for line in lines if not line.startswith("##")), lines[0])
@@ -112,10 +106,8 @@ def read_captures(path: str | Path) -> list[Capture]:
 
 def read_capture(path: str | Path) -> Capture:
     """Read one record of acceleration in time; see `read_vibration`."""
-    capture = read_vibration(path)
-    if not isinstance(capture, Capture):
-        raise MeasurementError(str(path), ["It holds spectra; a record of acceleration in time is needed."])
-    return capture
+    read_vibration(path)
+    return read_captures(path)[0]
 
 
 # ---- RepRapFirmware (M956) -----------------------------------------------------------------------
@@ -147,18 +139,9 @@ def _reprapfirmware_capture(path: str, text: str) -> Capture:
 _DELIMITERS = (",", ";", "\t", None)
 _UNIT = r"[\s_]*[\[(/]?\s*(?P<unit>{})?\s*[\])]?"
 _TIME_UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
-_ACCELERATION_UNITS = {
-    "m/s2": 1.0,
-    "m/s^2": 1.0,
-    "m/s²": 1.0,
-    "m_per_s2": 1.0,
-    "mm/s2": 1e-3,
-    "mm/s^2": 1e-3,
-    "mm/s²": 1e-3,
-    "mm_per_s2": 1e-3,
-    "g": G,
-    "mg": 1e-3 * G,
-}
+_SQUARED = ("/s2", "/s^2", "/s²", "_per_s2")
+_ACCELERATION_UNITS = {f"{m}{s}": size for m, size in (("m", 1.0), ("mm", 1e-3)) for s in _SQUARED}
+_ACCELERATION_UNITS |= {"g": G, "mg": 1e-3 * G}
 
 
 def _alternatives(units: Sequence[str]) -> str:
