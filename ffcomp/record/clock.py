@@ -11,7 +11,7 @@ mass like a command of −q̈.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_opening
 from scipy.signal import butter, fftconvolve, sosfiltfilt
 
+from ffcomp.inference.covariance import clustered_covariance
 from ffcomp.record.plan import Commanded
 from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
@@ -61,7 +62,7 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatu
     t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)
     carriages = machine.kinematics.inverse(motion.nozzle(t))
     if not with_signatures:
-        (plain,) = _accelerations([machine], [carriages])
+        plain = simulated([machine], [carriages])[0].nozzle_acceleration
         return Expectation(t, plain, np.empty((0, *plain.shape)), motion.duration_s)
     massive = carriages - MASS_S2 * np.gradient(np.gradient(carriages, 1 / RATE_HZ, axis=0), 1 / RATE_HZ, axis=0)
     friction = machine.effects.get("coulomb_friction", {})
@@ -70,16 +71,10 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatu
         replace(machine, effects={**machine.effects, "coulomb_friction": {**friction, "force_n": usual_n + more_n}})
         for more_n in FRICTION_N
     ]
-    plain, heavy, *rubbed = _accelerations(
-        [machine, machine, *rubbing], [carriages, massive, *[carriages] * len(rubbing)]
-    )
+    motions = simulated([machine, machine, *rubbing], [carriages, massive, *[carriages] * len(rubbing)])
+    plain, heavy, *rubbed = (each.nozzle_acceleration for each in motions)
     signatures = np.array([heavy - plain, *(each - plain for each in rubbed)])
     return Expectation(t, plain, signatures, motion.duration_s)
-
-
-def _accelerations(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[FloatArray]:
-    """Simulate the nozzle's acceleration, (N, 3) m/s² each."""
-    return [motion.nozzle_acceleration for motion in simulated(machines, commands)]
 
 
 def simulated(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[PrinterMotion]:
@@ -164,52 +159,66 @@ def felt_shares(record: FloatArray, expected: Expectation, t: FloatArray) -> tup
 def fit_clock(
     since: FloatArray, record: FloatArray, expected: Expectation, start: tuple[float, float], free_ratio: bool
 ) -> ClockFit:
-    """Refine offset and ratio from a start by Gauss-Newton, the gains of the axes and the signatures eliminated.
+    """Refine offset and ratio from a start, the gains of the axes and the sizes of the signatures fitted along.
 
     The record (k, 3) m/s² is along the printer's axes, at times (k,) s since the capture's first row, as of `thinned`.
-    """
-    estimate, centre = np.array(start), float(since.mean())
-    audible = np.array(felt_shares(record, expected, start[0] + start[1] * since)) >= DEAF
-    free = 2 if free_ratio else 1
-    for _ in range(ITERATIONS):
-        t = estimate[0] + estimate[1] * since
-        linear, slope = _linear(expected.at(t), audible), expected.at(t, 1)[0]
-        gains, *_ = np.linalg.lstsq(linear, record.ravel(), rcond=1e-9)
-        residual = record.ravel() - linear @ gains
-        early = (gains[:3] * slope).ravel()
-        jacobian = np.column_stack([early, early * np.repeat(since - centre, 3)])[:, :free]
-        jacobian = jacobian - linear @ np.linalg.lstsq(linear, jacobian, rcond=1e-9)[0]
-        normal = jacobian.T @ jacobian
-        step = np.linalg.solve(normal + 1e-12 * np.trace(normal) * np.eye(free), jacobian.T @ residual)
-        rate = step[1] if free == 2 else 0.0
-        estimate = estimate + np.array([step[0] - centre * rate, rate])
-        if abs(step[0]) < 1e-9 and abs(rate) * since[-1] < 1e-9:
-            break
-    covariance = _sandwich(jacobian, residual, normal)
-    explained = 1 - float(residual @ residual) / float(record.ravel() @ record.ravel())
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    ratio_sd = float(sd[1]) if free == 2 else 0.0
-    # at the first row, which is where the offset counts from
-    offset_sd = float(np.hypot(sd[0], centre * ratio_sd))
-    return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(max(explained, 0.0))))
-
-
-def _linear(values: list[FloatArray], audible: BoolArray) -> FloatArray:
-    """Build the columns whose sizes are free, (3 k, 3 + s): each axis by itself, each signature on all together.
-
     A signature leaves out axes that the chip does not feel: friction at a chip on the bed is the bed's.
     """
-    expected, *signatures = values
-    axes = [np.where(np.arange(3) == axis, expected, 0.0).ravel() for axis in range(3)]
-    return np.column_stack([*axes, *((each * audible).ravel() for each in signatures)])
+    audible = np.array(felt_shares(record, expected, start[0] + start[1] * since)) >= DEAF
+
+    def columns(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        plain, *signatures = expected.at(t)
+        steep = expected.at(t, 1)[0]
+        axes = [np.where(np.arange(3) == axis, rows, 0.0).ravel() for rows in (plain, steep) for axis in range(3)]
+        return np.column_stack([*axes[:3], *((each * audible).ravel() for each in signatures)]), np.column_stack(
+            axes[3:]
+        )
+
+    return fit_time(since, record.ravel(), columns, start, free_ratio)[0]
 
 
-def _sandwich(jacobian: FloatArray, residual: FloatArray, normal: FloatArray) -> FloatArray:
-    """Covariance with residuals of any colour, by sums of scores over blocks (Huber's sandwich)."""
-    scores = (jacobian * residual[:, None]).reshape(-1, 3, jacobian.shape[1]).sum(axis=1)
-    blocks = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
-    inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)))
-    return np.asarray(inverse @ (blocks.T @ blocks) @ inverse * BLOCKS / (BLOCKS - 2))
+Columns = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def fit_time(
+    since: FloatArray, record: FloatArray, columns: Columns, start: tuple[float, float], free_ratio: bool
+) -> tuple[ClockFit, FloatArray]:
+    """Fit a clock by Gauss-Newton with linear sizes eliminated (Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973).
+
+    Parameters
+    ----------
+    since : (k,) s since the capture's first row; the record (r k,) has r rows at each time
+    columns : times (k,) s of the experiment → columns (r k, c) whose sizes are free, and the derivatives of the first d
+        of them by time, (r k, d)
+
+    Returns
+    -------
+    The clock, and the columns' sizes (c,).
+    """
+    estimate, centre, free = np.array(start), float(since.mean()), 2 if free_ratio else 1
+    ages = np.repeat(since - centre, len(record) // len(since))
+    for _ in range(ITERATIONS):
+        values, slopes = columns(estimate[0] + estimate[1] * since)
+        sizes = np.linalg.lstsq(values, record, rcond=1e-9)[0]
+        residual = record - values @ sizes
+        early = slopes @ sizes[: slopes.shape[1]]
+        jacobian = np.column_stack([early, early * ages])[:, :free]
+        jacobian = jacobian - values @ np.linalg.lstsq(values, jacobian, rcond=1e-9)[0]
+        step = np.append(np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0], 0.0)
+        estimate = estimate + np.array([step[0] - centre * step[1], step[1]])
+        if abs(step[0]) < 1e-9 and abs(step[1]) * since[-1] < 1e-9:
+            break
+    noise = max(float(np.std(residual)), 1e-300)
+    blocks = np.repeat(np.arange(BLOCKS), -(-len(record) // BLOCKS))[: len(record)]
+    variance = np.diag(clustered_covariance(jacobian / noise, residual / noise, blocks, np.zeros(free)))
+    ratio_sd = float(np.sqrt(variance[1])) if free_ratio else 0.0
+    # at the first row, which is where the offset counts from
+    offset_sd = float(np.hypot(np.sqrt(variance[0]), centre * ratio_sd))
+    about = record - record.mean()
+    explained = max(1 - float(residual @ residual) / max(float(about @ about), 1e-300), 0.0)
+    return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(explained))), np.asarray(
+        sizes
+    )
 
 
 @dataclass(frozen=True, eq=False)

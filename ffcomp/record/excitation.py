@@ -10,7 +10,7 @@ mm, s, mm/s, mm/s²; carriages in the order A, B, C. Times of an experiment begi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -35,23 +35,18 @@ COARSE_ROUNDING = 0.25  # by microsteps, of the upper half of the band: from her
 SUBSTEPS = 32  # samples per segment where a spectrum is taken
 
 
-@dataclass(frozen=True, slots=True)
-class Peaks:
-    """The largest speeds and accelerations of a command, or how large they may be."""
-
-    carriage_velocity_mm_per_s: float
-    carriage_acceleration_mm_per_s2: float
-    nozzle_velocity_mm_per_s: float
-    nozzle_acceleration_mm_per_s2: float
-    # of the nozzle; a G-code file cannot raise the firmware's own limit
-    z_acceleration_mm_per_s2: float
-
-
+PEAKS = (  # of a command
+    "carriage_velocity_mm_per_s",
+    "nozzle_velocity_mm_per_s",
+    "carriage_acceleration_mm_per_s2",
+    "nozzle_acceleration_mm_per_s2",
+    "z_acceleration_mm_per_s2",  # of the nozzle; a G-code file cannot raise the firmware's own limit
+)
+VELOCITIES, ACCELERATIONS = slice(0, 2), slice(2, 5)
 # Without an amplitude from the user, these shares of the machine file's limits: motors keep reserves, the nozzle is
-# excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the limits of the
-# motors and of the nozzle's speed count, as in compensation.
-CONSERVATIVE = Peaks(0.5, 0.25, 0.5, 0.9, 0.2)
-HARD = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2", "nozzle_velocity_mm_per_s")
+# excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the first three
+# limits count, those of the motors and of the nozzle's speed, as in compensation.
+CONSERVATIVE, HARD = np.array([0.5, 0.5, 0.25, 0.9, 0.2]), 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +79,10 @@ def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
     output = settings_for(machine).output
     if request.z_acceleration_mm_per_s2:
         output = replace(output, z_acceleration_mm_per_s2=request.z_acceleration_mm_per_s2)
-    allowed = limits_of(machine, output)
+    limits = machine.limits
+    nozzle = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, output.z_acceleration_mm_per_s2
+    carriage = limits.carriage_velocity_mm_per_s, limits.carriage_acceleration_mm_per_s2
+    allowed = np.array([carriage[0], nozzle[0], carriage[1], *nozzle[1:]])
     for x, y in request.places_mm:
         check_inside(machine, f"The place {x:g},{y:g}", np.array([[x, y, request.height_mm]]))
     experiments = []
@@ -124,7 +122,7 @@ class _Target:
 
 
 def _checked_motion(
-    target: _Target, spectrum_band: Band, displacement_mm: FloatArray, acceleration: float, allowed: Peaks
+    target: _Target, spectrum_band: Band, displacement_mm: FloatArray, acceleration: float, allowed: FloatArray
 ) -> Motion:
     vertices, segment_s = target.vertices(displacement_mm), spectrum_band.segment_s
     _check_vertices(target, vertices, segment_s, acceleration, allowed)
@@ -158,12 +156,6 @@ def _experiment(
     return Experiment(target.name, "multisine", place, target.position_mm, motion, rounding, excitation)
 
 
-def _period(spectrum_band: Band) -> FloatArray:
-    """Return the times of one period from its beginning, (k,) s."""
-    count = spectrum_band.knots * SUBSTEPS
-    return spectrum_band.period_s / count * np.arange(count, dtype=np.float64)
-
-
 def excited_coordinate(geometry: Kinematics, direction: str, motion: Motion, t_s: FloatArray) -> FloatArray:
     """Return the coordinate that a direction excites, (k,) mm: a carriage's height, or the nozzle along an axis.
 
@@ -178,35 +170,15 @@ def excited_coordinate(geometry: Kinematics, direction: str, motion: Motion, t_s
 # How hard
 
 
-def limits_of(machine: Machine, output: SegmentLimits) -> Peaks:
-    """Return the peaks that the machine file allows."""
-    limits = machine.limits
-    return Peaks(
-        limits.carriage_velocity_mm_per_s,
-        limits.carriage_acceleration_mm_per_s2,
-        limits.velocity_mm_per_s,
-        limits.acceleration_mm_per_s2,
-        output.z_acceleration_mm_per_s2,
-    )
-
-
-def _allowed(machine: Machine, request: ExcitationRequest, direction: str, limits: Peaks) -> tuple[float, float]:
+def _allowed(machine: Machine, request: ExcitationRequest, direction: str, limits: FloatArray) -> tuple[float, float]:
     """Return acceleration and velocity of the excited coordinate that suit every position, mm/s² and mm/s."""
-    gains = [_gains(machine.kinematics, place, direction) for place in request.places_mm]
-    fitting = {
-        each.name: min(
-            getattr(CONSERVATIVE, each.name) * getattr(limits, each.name) / max(getattr(gain, each.name), 1e-9)
-            for gain in gains
-        )
-        for each in fields(Peaks)
-    }
-    acceleration = min(value for name, value in fitting.items() if "acceleration" in name)
-    velocity = min(value for name, value in fitting.items() if "velocity" in name)
-    return request.acceleration_mm_per_s2 or acceleration, velocity
+    gains = np.array([_gains(machine.kinematics, place, direction) for place in request.places_mm])
+    fitting = (CONSERVATIVE * limits / np.maximum(gains, 1e-9)).min(axis=0)
+    return request.acceleration_mm_per_s2 or float(fitting[ACCELERATIONS].min()), float(fitting[VELOCITIES].min())
 
 
-def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> Peaks:
-    """Return the speeds of carriages and nozzle when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
+def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> list[float]:
+    """Return the peaks (5,) of carriages and nozzle when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
     j = geometry.jacobian(np.array([place]))[0]
     if direction in TOWERS:
         carriage, nozzle = 1.0, j[:, TOWERS.index(direction)]
@@ -214,27 +186,28 @@ def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> 
         nozzle = np.eye(3)[AXES.index(direction)]
         carriage = float(np.abs(np.linalg.solve(j, nozzle)).max())
     length = float(np.linalg.norm(nozzle))
-    return Peaks(carriage, carriage, length, length, float(abs(nozzle[2])))
+    return [carriage, length, carriage, length, float(abs(nozzle[2]))]
 
 
-def peaks_of(vertices_mm: FloatArray, segment_s: float, geometry: Kinematics) -> Peaks:
+def peaks_of(vertices_mm: FloatArray, segment_s: float, geometry: Kinematics) -> dict[str, float]:
     """Return the largest differences from knot to knot of a path (n + 1, 3) mm."""
     carriages = geometry.inverse(vertices_mm) @ geometry.motors.T
     bends = np.diff(vertices_mm, 2, axis=0) / segment_s**2
-    return Peaks(
-        float(np.abs(np.diff(carriages, axis=0)).max()) / segment_s,
-        float(np.abs(np.diff(carriages, 2, axis=0)).max()) / segment_s**2,
-        float(np.linalg.norm(np.diff(vertices_mm, axis=0), axis=1).max()) / segment_s,
-        float(np.linalg.norm(bends, axis=1).max()),
-        float(np.abs(bends[:, 2]).max()),
+    peaks = (
+        np.abs(np.diff(carriages, axis=0)).max() / segment_s,
+        np.linalg.norm(np.diff(vertices_mm, axis=0), axis=1).max() / segment_s,
+        np.abs(np.diff(carriages, 2, axis=0)).max() / segment_s**2,
+        np.linalg.norm(bends, axis=1).max(),
+        np.abs(bends[:, 2]).max(),
     )
+    return dict(zip(PEAKS, map(float, peaks), strict=True))
 
 
 # Checks
 
 
 def _check_vertices(
-    target: _Target, vertices: FloatArray, segment_s: float, acceleration: float, allowed: Peaks
+    target: _Target, vertices: FloatArray, segment_s: float, acceleration: float, allowed: FloatArray
 ) -> None:
     """Check that every vertex is inside, and no peak over its limit."""
     machine = target.machine
@@ -248,8 +221,7 @@ def _check_vertices(
         )
     check_inside(machine, target.name, vertices)
     peaks = peaks_of(vertices, segment_s, machine.kinematics)
-    for name in HARD:
-        peak, limit = getattr(peaks, name), getattr(allowed, name)
+    for (name, peak), limit in zip([*peaks.items()][:HARD], allowed.tolist(), strict=False):
         if peak > limit:
             what, _, unit = name.partition("_mm_per_")
             raise LimitsError(
@@ -267,7 +239,9 @@ def microstep_error(
     One measured period, from `begin_s` on, is compared with itself, rounded; the rounding is the same in every period,
     and no averaging takes it away.
     """
-    moved, rounded = rounded_to_steps(motion, begin_s + _period(spectrum_band), geometry, steps_per_mm)
+    count = spectrum_band.knots * SUBSTEPS
+    period = spectrum_band.period_s / count * np.arange(count, dtype=np.float64)
+    moved, rounded = rounded_to_steps(motion, begin_s + period, geometry, steps_per_mm)
     upper = spectrum_band.lines[len(spectrum_band.lines) // 2 :]
     command, error = (np.fft.rfft(each, axis=0)[upper] for each in (moved, rounded))
     largest = int(np.argmax(np.linalg.norm(command, axis=0)))

@@ -17,7 +17,7 @@ from scipy.signal import fftconvolve
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.printer_logs import MotorLog
-from ffcomp.record.clock import ClockFit, peaks
+from ffcomp.record.clock import ClockFit, fit_time, peaks
 from ffcomp.record.plan import Experiment, Plan, run_name
 from ffcomp.record.result import KEPT_REST_S, Joined, joined_comments, measured_run
 from models.arrays import FloatArray
@@ -30,7 +30,6 @@ LEAST_LIKENESS = 0.98  # correlation of a place in the log with a motor's motion
 COARSE_HZ, FINE_HZ = 200.0, 2000.0
 PADDED_S = 0.5  # the motor rests before the log begins and after it ends
 LATEST_S = 0.05  # into the motion: A1 begins the log when the motor begins to move
-ITERATIONS = 15
 MOTORS = "ABC"
 SIZES = ("steps_per_mm", "full_steps_per_mm")
 BLIND = (
@@ -141,66 +140,41 @@ def _places(log: MotorLog, way: CubicSpline, duration_s: float) -> list[float]:
 def _fit(
     log: MotorLog, experiment: Experiment, motor: int, machine: Machine, way: CubicSpline, begin: float
 ) -> _Fit | None:
-    """Fit clock, steps/mm and zero; then again with the machine file's steps/mm, if they are those."""
+    """Fit clock and steps/mm; the zero with the machine file's steps/mm, if they are those."""
     since = log.time_s - log.time_s[0]
     within = (since >= begin) & (since <= begin + experiment.duration_s)
     since, target = since[within], log.target[within]
     if len(since) < COARSE_HZ * 0.5 * experiment.duration_s:
         return None
-    free = _refined(since, target, way, np.array([-begin, 1.0, 0.0, 0.0]), None)
+
+    def columns(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.column_stack([way(t), np.ones(len(t))]), way(t, 1)[:, None]
+
+    clock, (scale, _) = fit_time(since, target, columns, (-begin, 1.0), free_ratio=True)
     sizes = {
         key: float(size[motor])
         for key, size in zip(SIZES, (machine.steps.per_motor, machine.steps.full_per_motor), strict=True)
         if key in machine.steps.stated
     }
-    near = next((size for size in sizes.values() if abs(abs(free[2]) / size - 1.0) < OTHER_SIZE), None)
-    size = float(free[2] if near is None else np.copysign(near, free[2]))
-    estimate = _refined(since, target, way, free, size)
-    residual = target - size * way(estimate[0] + estimate[1] * since) - estimate[3]
-    apart = float(np.sqrt(np.mean(residual**2))) / abs(size)
-    sd, spread = _uncertainty(since, way, estimate, residual)
-    explained = 1.0 - float(residual @ residual) / float(np.sum((target - target.mean()) ** 2))
-    clock = ClockFit(float(estimate[0]), sd[0], float(estimate[1]), sd[1], float(np.sqrt(max(explained, 0.0))))
-    microsteps = apart * float(machine.steps.per_motor[motor])
-    return _Fit(experiment, motor, clock, size, float(estimate[3]), microsteps, spread, near is not None)
+    near = next((size for size in sizes.values() if abs(abs(scale) / size - 1.0) < OTHER_SIZE), None)
+    size = float(scale if near is None else np.copysign(near, scale))
+    tau = clock.offset_s + clock.ratio * since
+    zero = float(np.mean(target - size * way(tau)))
+    residual = target - size * way(tau) - zero
+    microsteps = float(np.sqrt(np.mean(residual**2))) / abs(size) * float(machine.steps.per_motor[motor])
+    spread = _spread(tau, size, way, residual)
+    return _Fit(experiment, motor, clock, size, zero, microsteps, spread, near is not None)
 
 
-def _refined(
-    since: FloatArray, target: FloatArray, way: CubicSpline, start: FloatArray, size: float | None
-) -> FloatArray:
-    """Refine (offset, ratio, steps/mm, zero) by Gauss-Newton; size: steps/mm that are known."""
-    offset, ratio, scale, zero = start.tolist()
-    for _ in range(ITERATIONS):
-        tau = offset + ratio * since
-        place, speed, ones = way(tau), way(tau, 1), np.ones(len(since))
-        if size is None:
-            scale, zero = np.linalg.lstsq(np.column_stack([place, ones]), target, rcond=None)[0].tolist()
-        else:
-            scale, zero = size, float(np.mean(target - size * place))
-        columns = [scale * speed, scale * speed * since, ones, *([place] if size is None else [])]
-        residual = target - scale * place - zero
-        step = np.linalg.lstsq(np.column_stack(columns), residual, rcond=None)[0]
-        offset, ratio, zero = offset + step[0], ratio + step[1], zero + step[2]
-        if abs(step[0]) < 1e-9 and abs(step[1]) < 1e-10:
-            break
-    return np.array([offset, ratio, scale, zero])
-
-
-def _uncertainty(
-    since: FloatArray, way: CubicSpline, estimate: FloatArray, residual: FloatArray
-) -> tuple[tuple[float, float], float]:
-    """Return the standard deviations of offset and ratio, and the spread of the target, s.
+def _spread(tau: FloatArray, size: float, way: CubicSpline, residual: FloatArray) -> float:
+    """Return the spread of the target, s.
 
     Pulses with a spread of σ, as a shaper has them, add σ²/2 times the acceleration to a motion, plus a delay.
     """
-    tau = estimate[0] + estimate[1] * since
-    speed, acceleration = estimate[2] * way(tau, 1), estimate[2] * way(tau, 2)
-    columns = np.column_stack([speed, speed * since, np.ones(len(since)), acceleration])
-    size = np.linalg.norm(columns, axis=0) + 1e-300
-    share = np.linalg.lstsq(columns / size, residual, rcond=None)[0] / size
-    inverse = np.linalg.pinv((columns / size).T @ (columns / size))
-    sd = np.sqrt(np.diag(inverse) * float(residual @ residual) / max(len(since) - 4, 1)) / size
-    return (float(sd[0]), float(sd[1])), float(np.sqrt(2.0 * max(float(share[3]), 0.0)))
+    columns = np.column_stack([way(tau, 2), way(tau, 1), tau * way(tau, 1), np.ones(len(tau))])
+    scale = size * np.linalg.norm(columns, axis=0)
+    share = np.linalg.lstsq(size * columns / scale, residual, rcond=None)[0][0] / scale[0]
+    return float(np.sqrt(2.0 * max(share, 0.0)))
 
 
 def _apart(fits: Sequence[_Fit]) -> list[_Fit]:

@@ -10,8 +10,8 @@ from typing import Any
 from ffcomp.errors import RequestError
 from ffcomp.record.excitation import (
     COARSE_ROUNDING,
+    PEAKS,
     ExcitationRequest,
-    Peaks,
     line_of_action,
     make_excitation_plan,
     peaks_of,
@@ -85,7 +85,7 @@ class PlanResult(Result):
         planned = {each.position_mm[:2] for each in self.plan.experiments}
         return [place for place in self.recommended_places_mm if place not in planned]
 
-    def peaks(self, experiment: Experiment) -> Peaks | None:
+    def peaks(self, experiment: Experiment) -> dict[str, float] | None:
         """Return the largest speeds and accelerations of a periodic excitation; None of other moves."""
         if experiment.excitation is None:
             return None
@@ -111,12 +111,9 @@ class PlanResult(Result):
         x, y, *_ = experiment.position_mm
         words = f"at {x:g}, {y:g} mm, {experiment.duration_s:.1f} s, microstep error {100 * experiment.rounding:.0f} %"
         if (peak := self.peaks(experiment)) is not None:
-            words += (
-                f", carriage {peak.carriage_velocity_mm_per_s:.0f} mm/s, "
-                f"{peak.carriage_acceleration_mm_per_s2 / 1e3:.1f} m/s²"
-                f", nozzle {peak.nozzle_velocity_mm_per_s:.0f} mm/s, "
-                f"{peak.nozzle_acceleration_mm_per_s2 / 1e3:.1f} m/s²"
-            )
+            carriage, nozzle, carriage_bend, nozzle_bend, _ = peak.values()
+            words += f", carriage {carriage:.0f} mm/s, {carriage_bend / 1e3:.1f} m/s²"
+            words += f", nozzle {nozzle:.0f} mm/s, {nozzle_bend / 1e3:.1f} m/s²"
         return experiment.name.removeprefix("ffcomp-"), words
 
     @property
@@ -158,7 +155,6 @@ class PlanResult(Result):
         }
 
     def _experiment_dict(self, experiment: Experiment) -> dict[str, Any]:
-        peaks = self.peaks(experiment)
         return {
             "name": experiment.name,
             "kind": experiment.kind,
@@ -166,7 +162,7 @@ class PlanResult(Result):
             "position_mm": experiment.position_mm,
             "duration_s": experiment.duration_s,
             "moves": len(experiment.motion.speed),
-            "peaks": {each.name: peaks and getattr(peaks, each.name) for each in fields(Peaks)},
+            "peaks": self.peaks(experiment) or dict.fromkeys(PEAKS),
             "microstep_error": experiment.rounding,
         }
 
