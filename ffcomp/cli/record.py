@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from ffcomp.cli.command import group, verb
 from ffcomp.cli.common import report
 from ffcomp.errors import RequestError
-from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest, PrintRequest
+from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest
 from ffcomp.result import Result
 
 
@@ -33,27 +31,12 @@ def join(request: JoinRequest) -> Result:
     """Join captures with their commands: one measured run for each experiment and repeat.
 
     Klipper's and Kalico's captures are on the clock of the motion already. Others are aligned with it below 20 Hz. What
-    cannot be joined is named with its reason; exit code 5 if nothing could be.
+    cannot be joined is named with its reason; exit code 5 if nothing could be. The plan may be a print, compensated or
+    not, with the commands of the captures in it: from ffcomp record plan --print, or from your slicer between layers
+    (ACCELEROMETER_MEASURE, or M956, and a rest of 0.2 s or more inside, before and after the moves).
 
     Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml -o runs/
     """
-    return _join(request, request.plan)
-
-
-@verb
-def print_captures(request: PrintRequest) -> Result:
-    """Join captures that were made during a print with the print's own motion: one measured run for each.
-
-    The print, compensated or not, holds the commands of the captures: as ffcomp record plan --print writes them, or as
-    your slicer puts them between layers (ACCELEROMETER_MEASURE, or M956, and a rest of 0.2 s or more inside, before and
-    after the moves). Whatever takes a plan of captures with --plan takes such a print too.
-
-    Example: ffcomp record print recorded.gcode captures/*.csv -m my-delta.toml -o runs/
-    """
-    return _join(request, request.print_file)
-
-
-def _join(request: JoinRequest | PrintRequest, plan_file: Path) -> Result:
     from ffcomp.record.axes import turn_of
     from ffcomp.record.join import join_captures
     from ffcomp.record.prints import plan_of
@@ -62,7 +45,7 @@ def _join(request: JoinRequest | PrintRequest, plan_file: Path) -> Result:
     from models.file import load_machine
 
     machine = load_machine(request.machine)
-    plan = plan_of(plan_file, machine)
+    plan = plan_of(request.plan, machine)
     turn = turn_of(request.axes_map)
     result = join_captures(request.captures, plan, machine, turn, lambda text: report(f"ffcomp: {text}"))
     targets = [request.output / f"{each.name}.csv" for each in result.joined]
@@ -134,6 +117,5 @@ record = group(
     """,
     plan,
     join,
-    print_captures,
     check,
 )

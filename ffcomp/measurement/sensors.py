@@ -116,9 +116,7 @@ def wrong_scale(
         basis, moves_itself = _moving_with(name.replace("acc", "cmd"), inputs, commanded)
         gains[name] = _gain(sosfiltfilt(low, np.nan_to_num(values)), basis, _PLAUSIBLE_GAIN[0] if moves_itself else 0.0)
     wrong = [_too_large(name, gain) for name, gain in gains.items() if gain is not None]
-    if not wrong or inputs[0] == "cmd_A":
-        return (wrong and command_unit(command, inputs)) or wrong
-    return wrong + _all_alike(list(gains.values()))
+    return (wrong and command_unit(command, inputs)) or wrong
 
 
 def _moving_with(name: str, inputs: Sequence[str], commanded: FloatArray) -> tuple[FloatArray, bool]:
@@ -141,7 +139,7 @@ def _gain(measured: FloatArray, basis: FloatArray, lowest: float) -> float | Non
 
 
 def _too_large(name: str, gain: float) -> str:
-    unit = _unit_of(gain)
+    unit = min(_UNITS, key=lambda each: abs(np.log(_UNITS[each] / gain)))
     factor = _UNITS[unit]
     found = f"below {_SCALE_BAND_HZ:g} Hz it is {gain:.3g} times the acceleration commanded, where about 1 is right"
     if not 1 / _NEAR_UNIT < gain / factor < _NEAR_UNIT:
@@ -154,17 +152,6 @@ def _too_large(name: str, gain: float) -> str:
         f"Column {name}_m_per_s2 looks {looks}, as if it were in {unit}, not in m/s²: {found}. Multiply it by "
         f"{1 / factor:.6g}."
     )
-
-
-def _unit_of(gain: float) -> str:
-    return min(_UNITS, key=lambda unit: abs(np.log(_UNITS[unit] / gain)))
-
-
-def _all_alike(gains: Sequence[float | None]) -> list[str]:
-    """Report a factor that all sensors share: it may be the nozzle's command that is wrong."""
-    units = {None if gain is None else _unit_of(gain) for gain in gains}
-    unit = {"mm/s²": "m", "km/s²": "µm"}.get(units.pop() or "") if len(units) == 1 < len(gains) else None
-    return [f"All sensors are off by this factor: or is it the command, in {unit} and not in mm?"] if unit else []
 
 
 def command_unit(command: FloatArray, inputs: Sequence[str]) -> list[str]:
@@ -208,7 +195,7 @@ def misplaced(measured: Mapping[str, FloatArray], expected: Mapping[str, FloatAr
     if late:
         return [late]
     stuck = [text for name, x in telling.items() for text in _stuck(name, x, expected[name], rate_hz)]
-    return stuck or [sentence for name in odd for sentence in _about(name, signals, _kin(name, reference))]
+    return stuck or [sentence for name in odd for sentence in _about(name, signals, reference)]
 
 
 def _stuck(name: str, measured: FloatArray, expected: FloatArray, rate_hz: float) -> list[str]:
@@ -243,21 +230,18 @@ def _in_band(signals: Mapping[str, FloatArray], rate_hz: float) -> dict[str, Flo
     }
 
 
-def _kin(name: str, reference: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the expected signals of the sensors of its kind: on the carriages, or on the nozzle."""
-    axes = "ABC" if name[-1] in "ABC" else "xyz"
-    return {other: x for other, x in reference.items() if other[:4] == name[:4] and other[-1] in axes}
-
-
-def _about(name: str, signals: Mapping[str, FloatArray], kin: Mapping[str, FloatArray]) -> list[str]:
+def _about(name: str, signals: Mapping[str, FloatArray], reference: Mapping[str, FloatArray]) -> list[str]:
+    """Say what a sensor does that does not follow its command, as the commands of its kind show it."""
+    axes = "ABC" if name[-1] in "ABC" else "xyz"  # the carriages, or the nozzle
+    kin = {other: x for other, x in reference.items() if other[:4] == name[:4] and other[-1] in axes}
     measured, commanded = signals[name], kin[name]
-    expected, much = float(commanded.std()), _LOUD * max(float(x.std()) for x in kin.values())
+    much = _LOUD * max(float(x.std()) for x in kin.values())
     match = _correlation(measured, commanded)
-    if max(expected, float(measured.std())) < much:
+    if max(commanded.std(), measured.std()) < much:
         return []
-    if expected > much and measured.std() < _DEAD * expected:
+    if commanded.std() > much and measured.std() < _DEAD * commanded.std():
         return [
-            f"Sensor {name} measures {measured.std() / expected:.1%} of the motion that is commanded between "
+            f"Sensor {name} measures {measured.std() / commanded.std():.1%} of the motion that is commanded between "
             f"{_BAND_HZ[0]:g} and {_BAND_HZ[1]:g} Hz: it is dead, not fastened, or in another unit."
         ]
     if match < _REVERSED:
@@ -265,33 +249,21 @@ def _about(name: str, signals: Mapping[str, FloatArray], kin: Mapping[str, Float
             f"Sensor {name} moves against its command (correlation {match:.2f}): its axis points the other way, or its "
             "sign is reversed. Multiply its numbers by -1."
         ]
-    return _anothers(name, measured, kin, match) or _turned(name, measured, kin, match)
-
-
-def _anothers(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], match: float) -> list[str]:
-    """Report a sensor that moves as another one should."""
     others = {o: _correlation(measured, x) for o, x in kin.items() if o != name}
     other = max(others, key=lambda o: abs(others[o]))
-    if abs(others[other]) < _ANOTHERS or abs(_correlation(kin[name], kin[other])) > _DISTINCT:
-        return []
-    way = "with" if others[other] > 0 else "against"
-    return [
-        f"Sensor {name} moves {way} the command of {other[-1]} (correlation {others[other]:.2f}), not with that of "
-        f"{name[-1]} ({match:.2f}): columns of the sensors or of the command are swapped, or the order of the towers "
-        "in the machine file is another."
-    ]
-
-
-def _turned(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], match: float) -> list[str]:
-    """Report a sensor that moves as several together."""
-    basis = np.column_stack(list(kin.values()))
-    moving = basis.std(axis=0) > _LOUD * basis.std(axis=0).max()
-    basis[:, ~moving] = 0.0
-    share, _, rank, _ = np.linalg.lstsq(basis, measured, rcond=0.05)
+    if abs(others[other]) >= _ANOTHERS and abs(_correlation(commanded, kin[other])) <= _DISTINCT:
+        return [
+            f"Sensor {name} moves {'with' if others[other] > 0 else 'against'} the command of {other[-1]} (correlation "
+            f"{others[other]:.2f}), not with that of {name[-1]} ({match:.2f}): columns of the sensors or of the "
+            "command are swapped, or the order of the towers in the machine file is another."
+        ]
+    moving = {o: x for o, x in kin.items() if x.std() > much}
+    basis = np.column_stack(list(moving.values()))
+    share, _, rank, _ = np.linalg.lstsq(basis, measured, rcond=_SINGULAR)
     left = float(np.var(measured - basis @ share)) / max(float(np.var(measured)), 1e-300)
-    if rank < moving.sum() or left > 1 - _EXPLAINED:
+    if rank < len(moving) or left > 1 - _EXPLAINED:
         return []
-    mixed = " ".join(f"{c:+.2f} {o[-1]}" for o, c in zip(kin, share, strict=True) if abs(c) > 0.05)
+    mixed = " ".join(f"{c:+.2f} {o[-1]}" for o, c in zip(moving, share, strict=True) if abs(c) > 0.05)
     return [
         f"Sensor {name} moves as {mixed} of what is commanded (correlation with its own {match:.2f}): its axes are "
         "turned against the machine file's, or the order of the towers is another."

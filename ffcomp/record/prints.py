@@ -42,7 +42,7 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
     if TOGGLE.search(data):
         raise NothingToDo(
             f"{path.name} holds the commands of captures already: print it unchanged, and give it to ffcomp record "
-            "print with the captures."
+            "join as the plan of the captures."
         )
     program = read_program(data, str(path), flavor=flavor or None)
     trajectory = firmware_plan(program, machine)

@@ -1,4 +1,4 @@
-"""The requests of `ffcomp record plan`, `record join`, `record print` and `record check`."""
+"""The requests of `ffcomp record plan`, `record join` and `record check`."""
 
 from __future__ import annotations
 
@@ -251,18 +251,6 @@ class JoinRequest(Request):
         ),
     ]
     plan: Annotated[Path, MOVES_PLAN]
-    machine: Annotated[str, MACHINE_NAME]
-    output: Annotated[Path, RUNS_FOLDER]
-    axes_map: Annotated[str | None, CAPTURE_AXES] = None
-    force: Annotated[bool, FORCE] = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class PrintRequest(Request):
-    """Captures to be joined with the print that was made meanwhile."""
-
-    print_file: Annotated[Path, Argument("The printed G-code, with the commands of its captures.", metavar="PRINT")]
-    captures: Annotated[tuple[Path, ...], Argument("Captures that were made meanwhile.", metavar="CAPTURES...")]
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[Path, RUNS_FOLDER]
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
