@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.faults import deaf_to
+from ffcomp.measurement.faults import fault
 from ffcomp.record.clock import without_gaps
 from ffcomp.record.plan import Plan
 from ffcomp.record.result import Joined
@@ -97,7 +97,7 @@ def _filtered(each: Joined) -> tuple[FloatArray, FloatArray]:
     """Return times (n,) s of the experiment and the record (n, 3) in the band."""
     recording = each.recording
     if missing := {f"acc_{axis}" for axis in "xyz"} - set(recording.acceleration):
-        raise MeasurementError(each.source, [deaf_to(min(missing)[-1], all_needed=True)])
+        raise MeasurementError(each.source, [fault("deaf check", axis=min(missing)[-1])])
     rows = np.column_stack([recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
     whole = without_gaps(recording.time_s, rows)
     return each.begin_s + recording.time_s, in_band(whole, recording.sample_rate_hz)

@@ -15,7 +15,7 @@ from ffcomp.identification.from_resonances import Resonance
 from ffcomp.identification.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import periodic_frf
-from ffcomp.measurement.faults import lost_samples
+from ffcomp.measurement.faults import fault
 from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import Resonances
@@ -103,7 +103,7 @@ def gather(
         else:
             tests += read_vibrations(path)
     gathered.skipped += [
-        f"{Path(each.source).name}: {lost_samples(each.overflows)}"
+        f"{Path(each.source).name}: {fault('lost samples', overflows=each.overflows)}"
         for each in tests
         if isinstance(each, Capture) and each.overflows
     ]

@@ -4,10 +4,9 @@
 |---|---|---|
 | a sensor that is dead, clipped or in another unit; gravity left in | its column, and the command | `sensors.py` |
 | sensors swapped, reversed, turned, late or stuck | the command below 20 Hz | `sensors.py` |
-| a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `wrong_gravity`, `mirrored` |
-| samples that the chip lost | the file's header | `lost_samples` |
-| an axis that no chip feels | the command below 20 Hz | `deaf_to` |
-| another motion, a shaken printer | the command, the rest before the motion | `other_motion` |
+| a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `SENTENCES` |
+| samples that the chip lost; an axis that no chip feels | the file's header; the command below 20 Hz | `SENTENCES` |
+| another motion, a shaken printer | the command, the rest before the motion | `SENTENCES` |
 | repeats that are copies, lie apart in time, or do not repeat | each other, the command | `compare_repeats` |
 | an input shaper left on | the response expected without one | `shaper_of_captures`, `shaper_in_gap` |
 | a clipped sensor, one that holds the gap | a simulation | `clipped_against`, `BadSensor` |
@@ -25,7 +24,6 @@ from functools import cache, partial
 import numpy as np
 from scipy.special import chdtri
 
-from ffcomp.measurement.sensors import G
 from ffcomp.numerics.delay import delayed
 from ffcomp.shapers.pulses import DAMPING_RATIO
 from ffcomp.shapers.smooth import SHAPERS, USUAL
@@ -495,64 +493,31 @@ def clipped_against(measured: FloatArray, simulated: FloatArray) -> bool:
 
 # ---- captures ------------------------------------------------------------------------------------
 
-
-def lost_samples(overflows: int) -> str:
-    """Report that a chip lost samples at unknown times."""
-    return (
-        f"The chip lost samples ({overflows} overflows or drops), so its times are wrong. Record it again, with less "
-        "load on the printer's host, or at a lower rate of the chip."
-    )
-
-
-def wrong_gravity(gravity: FloatArray, may_be_removed: bool) -> str:
-    """Report gravity (3,) m/s² at rest that is none, in sentences; "" if it is. Apps may take it out."""
-    size = float(np.linalg.norm(gravity))
-    ratio = size / G
-    if abs(ratio - 1.0) <= 0.25 or (may_be_removed and ratio < 0.2):
-        return ""
-    return (
-        f"At rest it measures {size:.3g} m/s², and gravity is {G:.2f}: its numbers are {ratio:.2g} "
-        "times as large as they should be. The range, the scale or the unit of the chip is misread, or gravity was "
-        "taken out. Check the chip's type and range in the firmware's configuration, and record it again."
-    )
-
-
-def mirrored(axes: str) -> str:
-    """Report axes that no chip has."""
-    return (
-        f"The accelerometer's axes are {axes}, as in a mirror, and no chip's are: either axes_map in the firmware's "
-        "configuration is wrong, or the printer moves x or y the wrong way. Command a single move to the right, and "
-        "look."
-    )
+SENTENCES = {
+    "lost samples": "The chip lost samples ({overflows} overflows or drops), so its times are wrong. Record it again, "
+    "with less load on the printer's host, or at a lower rate of the chip.",
+    "no gravity": "At rest it measures {size:.3g} m/s², and gravity is 9.81: its numbers are {ratio:.2g} times as "
+    "large as they should be. The range, the scale or the unit of the chip is misread, or gravity was taken out. Check "
+    "the chip's type and range in the firmware's configuration, and record it again.",
+    "mirrored": "The accelerometer's axes are {axes}, as in a mirror, and no chip's are: either axes_map in the "
+    "firmware's configuration is wrong, or the printer moves x or y the wrong way. Command a single move to the right, "
+    "and look.",
+    "deaf": "No chip feels the motion along {axis}, so it is not judged. A bed slinger's bed needs a chip of its own: "
+    "give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both.",
+    "deaf check": "No chip feels the motion along {axis}, and a check compares all axes: give the captures of both "
+    "chips, on the toolhead and on the bed.",
+    "unlike": "It does not fit the motion of {experiment} below 20 Hz: correlation {correlation:.2f}, and {least:g} is "
+    "needed. It is of another motion (another plan, a speed factor, lower limits of the firmware, lost steps, a bump), "
+    "of another machine, or of a sensor that is loose or not on the nozzle holder; or its axes are others than "
+    "--axes-map says. Check these, and record it again.",
+    "shaken": "It does not fit the motion of {experiment} below 20 Hz: correlation {correlation:.2f}, and {least:g} is "
+    "needed. It shakes by {rest:.2g} m/s² at rest already, {share:.0%} of what it does in motion: something else "
+    "shakes the printer or its table, or the sensor is loose. Stop that, and record it again.",
+    "copy": "Its rows are those of {other}: one recording under two names shows no noise. Give the capture that was "
+    "made when the experiment was repeated, or leave this one out, with --without-repeats.",
+}
 
 
-def deaf_to(axis: str, all_needed: bool) -> str:
-    """Report an axis along which no chip feels the motion: a check needs all of them, a diagnosis does without."""
-    start = f"No chip feels the motion along {axis}"
-    if all_needed:
-        return (
-            f"{start}, and a check compares all axes: give the captures of both chips, on the toolhead and on the bed."
-        )
-    return (
-        f"{start}, so it is not judged. A bed slinger's bed needs a chip of its own: give `ffcomp record plan` "
-        "both (--chip adxl345 --chip bed), and here the captures of both."
-    )
-
-
-def other_motion(experiment: str, correlation: float, least: float, rest_rms: float, motion_rms: float) -> str:
-    """Report a capture that does not fit its motion, and what may be the reason; sizes in m/s²."""
-    start = (
-        f"It does not fit the motion of {experiment} below 20 Hz: correlation {correlation:.2f}, and {least:g} is "
-        "needed."
-    )
-    if rest_rms > max(0.1 * motion_rms, 0.5):
-        return (
-            f"{start} It shakes by {rest_rms:.2g} m/s² at rest already, {rest_rms / motion_rms:.0%} of what it does "
-            "in motion: something else shakes the printer or its table, or the sensor is loose. Stop that, and record "
-            "it again."
-        )
-    return (
-        f"{start} It is of another motion (another plan, a speed factor, lower limits of the firmware, lost steps, a "
-        "bump), of another machine, or of a sensor that is loose or not on the nozzle holder; or its axes are others "
-        "than --axes-map says. Check these, and record it again."
-    )
+def fault(name: str, **values: object) -> str:
+    """Report a fault of a capture, and what to do."""
+    return SENTENCES[name].format(**values)

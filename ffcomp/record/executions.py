@@ -20,7 +20,7 @@ from scipy.signal import butter, fftconvolve, sosfiltfilt
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
-from ffcomp.measurement.faults import lost_samples
+from ffcomp.measurement.faults import fault
 from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps, is_index, is_motion_log, read_motion_log
 from ffcomp.measurement.table import Table
 from ffcomp.measurement.vibration import read_captures
@@ -80,7 +80,7 @@ def read_tasks(
 def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
     capture = each.capture
     if capture.overflows:
-        raise MeasurementError(capture.source, [lost_samples(capture.overflows)])
+        raise MeasurementError(capture.source, [fault("lost samples", overflows=capture.overflows)])
     missing = float(np.isnan(capture.acceleration).any(axis=1).mean())
     if missing > MOST_MISSING:
         reason = f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."

@@ -19,8 +19,7 @@ from ffcomp.measurement.faults import (
     RepeatComparison,
     ShapersLeftOn,
     compare_repeats,
-    mirrored,
-    other_motion,
+    fault,
     shaper_of_captures,
 )
 from ffcomp.record.axes import turn_of
@@ -58,16 +57,19 @@ def unlike(joined: Joined, least: float) -> str:
     """Say that a capture does not fit its motion, and what may be the reason."""
     rows = np.column_stack([joined.recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
     resting = joined.begin_s + joined.recording.time_s < -0.1
-    rest, motion = (
-        float(np.sqrt(np.nanmean(part**2))) if len(part) else 0.0 for part in (rows[resting], rows[~resting])
-    )
-    return other_motion(joined.experiment, joined.clock.correlation, least, rest, max(motion, 1e-12))
+    parts = (rows[resting], rows[~resting])
+    rest, motion = (float(np.sqrt(np.nanmean(part**2))) if len(part) else 0.0 for part in parts)
+    share, correlation = rest / max(motion, 1e-12), joined.clock.correlation
+    kind = "shaken" if rest > max(0.1 * motion, 0.5) else "unlike"
+    experiment = joined.experiment
+    return fault(kind, experiment=experiment, correlation=correlation, least=least, rest=rest, share=share)
 
 
 def left_handed(joined: Sequence[Joined]) -> list[str]:
     """Say for each mounting whether no chip can be mounted so."""
     turns = {axes: turn_of(axes) for axes in dict.fromkeys(each.axes_map for each in joined)}
-    return [mirrored(axes) for axes, turn in turns.items() if turn is not None and np.linalg.det(turn) < 0]
+    handed = {axes: 1.0 if turn is None else np.linalg.det(turn) for axes, turn in turns.items()}
+    return [fault("mirrored", axes=axes) for axes, hand in handed.items() if hand < 0]
 
 
 def check_repeats(joined: Sequence[Joined]) -> tuple[list[Joined], list[Refused], list[str]]:
@@ -84,11 +86,7 @@ def check_repeats(joined: Sequence[Joined]) -> tuple[list[Joined], list[Refused]
                 (a if b is each else b, between) for a, b, between in pairs if each in (a, b) and not between.copied
             ]
             if originals and each is not originals[0]:
-                reason = (
-                    f"Its rows are those of {Path(originals[0].source).name}: one recording under two names shows no "
-                    "noise. Give the capture that was made when the experiment was repeated, or leave this one out, "
-                    "with --without-repeats."
-                )
+                reason = fault("copy", other=Path(originals[0].source).name)
                 refused.append(Refused(each.source, reason))
             elif not others or any(not between.differ for _, between in others):
                 kept.append(each)

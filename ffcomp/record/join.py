@@ -16,11 +16,12 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.faults import SHAPER_REMEDY, deaf_to, wrong_gravity
+from ffcomp.measurement.faults import SHAPER_REMEDY, fault
 from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
+from ffcomp.measurement.sensors import G
 from ffcomp.measurement.vibration import kind_of
-from ffcomp.record.axes import best_score, find_turn, tilt, words
+from ffcomp.record.axes import NEARLY_G, best_score, find_turn, tilt, words
 from ffcomp.record.clock import (
     DEAF,
     ClockFit,
@@ -49,6 +50,7 @@ from models.arrays import FloatArray
 from models.machine import Machine
 
 LEAST_REST_S = 0.2  # for gravity
+NO_GRAVITY = 0.2  # of g: less, and an app has taken it out
 LEAST_CORRELATION = 0.9
 FARTHEST_S = 2e-3  # a firmware's clock from what the motion says
 LATEST_S, ALIKE_S, LEAST_ALIKE = 8e-3, 1e-3, 4  # a machine that follows late does so in all of several captures
@@ -254,8 +256,9 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
         raise MeasurementError(capture.source, [reason])
     rest = tau < -0.5 * LEAST_REST_S
     gravity = np.nanmean(capture.acceleration[rest] @ axes.T, axis=0)
-    if complaint := wrong_gravity(gravity, may_be_removed=capture.clock == "free"):
-        raise MeasurementError(capture.source, [complaint])
+    ratio = float(np.linalg.norm(gravity)) / G
+    if abs(ratio - 1.0) > NEARLY_G and not (capture.clock == "free" and ratio < NO_GRAVITY):
+        raise MeasurementError(capture.source, [fault("no gravity", size=ratio * G, ratio=ratio)])
     upright = tilt(gravity)
     measured = (capture.acceleration @ axes.T - gravity) @ upright.T
     first, last = max(float(tau[0]), -KEPT_REST_S[0]), min(float(tau[-1]), duration_s + KEPT_REST_S[1])
@@ -351,7 +354,7 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
 def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
     """Leave out axes that no chip feels, on a machine whose bed may move, and report it."""
     deaf = [f"acc_{axis}" for axis, share in _median_shares(joined, machine).items() if share < DEAF]
-    notes = [deaf_to(column[-1], all_needed=False) for column in deaf]
+    notes = [fault("deaf", axis=column[-1]) for column in deaf]
     return [_without(each, deaf) for each in joined] if deaf else list(joined), notes
 
 

@@ -23,7 +23,7 @@ from models.arrays import BoolArray, FloatArray
 from models.kinematics.base import Kinematics
 from models.machine import Machine
 
-STROKE, SLOW, DISC, LABEL, SKIRT = "stroke", "slow-line", "disc", "label", "skirt"  # kinds of drawings
+STROKE, SLOW, DISC, SKIRT = "stroke", "slow-line", "disc", "skirt"  # kinds of drawings
 
 LINE_MM, PITCH_MM, TWIN_MM = 25.0, 4.4, 2.0  # a line; from stroke to stroke; from a stroke to its slow line
 STROKES, CELLS = 5, 4  # a direction and a cell; where there is room
@@ -38,19 +38,6 @@ MARGIN_MM, SKIRT_MM = 4.0, 3.0  # around drawings; from them to the skirt
 LARGEST_MM = 200.0  # of the page, as wide as a flatbed
 FILAMENT_MM2 = np.pi * 1.75**2 / 4
 HOP_MM, RETRACT_MM, RETRACT_MM_PER_S = 0.8, 0.8, 30.0
-DIGIT_MM = (1.8, 3.2)  # width and height
-SEGMENTS = {  # of a digit, as polylines on a grid of two by three points
-    "0": [(0, 0), (1, 0), (1, 2), (0, 2), (0, 0)],
-    "1": [(1, 0), (1, 2)],
-    "2": [(0, 2), (1, 2), (1, 1), (0, 1), (0, 0), (1, 0)],
-    "3": [(0, 2), (1, 2), (1, 1), (0.3, 1), (1, 1), (1, 0), (0, 0)],
-    "4": [(0, 2), (0, 1), (1, 1), (1, 2), (1, 0)],
-    "5": [(1, 2), (0, 2), (0, 1), (1, 1), (1, 0), (0, 0)],
-    "6": [(1, 2), (0, 2), (0, 0), (1, 0), (1, 1), (0, 1)],
-    "7": [(0, 2), (1, 2), (1, 0)],
-    "8": [(0, 1), (0, 2), (1, 2), (1, 0), (0, 0), (0, 1), (1, 1)],
-    "9": [(1, 1), (0, 1), (0, 2), (1, 2), (1, 0), (0, 0)],
-}
 
 
 @dataclass(frozen=True)
@@ -241,18 +228,15 @@ class _Drawer:
         self.experiments[-1] = replace(last, position_mm=(x, y, self.request.height_mm))
 
     def cell(self, number: int, cell: _Box) -> None:
-        """Draw five strokes that ring along x, five that ring along y, and the number of the cell."""
+        """Draw five strokes that ring along x, and five that ring along y."""
         left = cell.middle - cell.half
-        count = STROKES
-        for i in range(count):
+        for i in range(STROKES):
             corner = left + np.array([3.2 + i * PITCH_MM, 0.0])
             self.stroke(number, i, corner, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
-        begin = left + np.array([3.2 + count * PITCH_MM + 1.0, 3.2])
-        for i in range(count):
+        begin = left + np.array([3.2 + STROKES * PITCH_MM + 1.0, 3.2])
+        for i in range(STROKES):
             corner = begin + np.array([0.0, i * PITCH_MM])
             self.stroke(number, i, corner, np.array([0.0, 1.0]), np.array([1.0, 0.0]))
-        text = cell.middle + np.array([cell.half[0] - 12.0, cell.half[1] - DIGIT_MM[1] - 0.5])
-        self.digits(number, f"{number + 1}", text)
 
     def stroke(self, place: int, i: int, corner: FloatArray, excited: FloatArray, along: FloatArray) -> None:
         """Draw a zigzag that ends at the line's foot, its line, and the slow line next to it."""
@@ -278,13 +262,6 @@ class _Drawer:
         acceleration = self.limits.acceleration_mm_per_s2
         legs = RINGING_MM * (2 * np.pi * tuned_hz) ** 2 / (2 * acceleration)  # each adds 2 a/ω²
         return acceleration / (4 * tuned_hz) ** 2, int(np.clip(round(legs), 1, MOST_LEGS))
-
-    def digits(self, place: int, text: str, at: FloatArray) -> None:
-        """Draw a number."""
-        width, height = DIGIT_MM
-        for k, digit in enumerate(text):
-            points = np.array(SEGMENTS[digit], dtype=float) * [width, height / 2]
-            self.add(LABEL, 10 * place + k, place, at + np.array([1.6 * width * k, 0.0]) + points, SLOW_MM_PER_S)
 
 
 # ---- the G-code ----------------------------------------------------------------------------------
