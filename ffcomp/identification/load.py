@@ -291,10 +291,10 @@ def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn:
     y = CubicSpline(capture.time_s, measured)(capture_time)
     moved = excited_coordinate(machine.kinematics, excitation.direction, experiment.motion, when)
     matrix = periodic_frf(((moved - moved.mean()) * 1e-3)[:, None], y, RATE_HZ, samples, transient_periods=0)
-    band = matrix.between(excitation.band.lowest_hz, excitation.band.highest_hz)
-    return band.responses(
+    return matrix.responses(
         [f"cmd_{excitation.direction}"],
         [f"acc_{axis}" for axis in STRAIGHT],
+        (excitation.band.lowest_hz, excitation.band.highest_hz),
         position_mm=experiment.position_mm,
         source=Path(capture.source).name,
         clock=experiment.name,

@@ -13,7 +13,8 @@ Axes, everywhere: e experiments, n samples, i inputs, o outputs, k frequency lin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
@@ -37,39 +38,16 @@ class FrfMatrix:
     variance: FloatArray  # (k, o, i) E|δ|²
 
     def responses(
-        self,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        *,
-        position_mm: tuple[float, float, float] | None = None,
-        source: str = "",
-        clock: str = "",
+        self, inputs: Sequence[str], outputs: Sequence[str], band_hz: tuple[float, float], **labels: Any
     ) -> list[FrequencyResponse]:
-        """Split into one response for each output and input."""
+        """Split into one response for each output and input, within a band; `labels` are fields of all of them."""
         return [
-            FrequencyResponse(
-                input_name,
-                output_name,
-                self.frequency_hz,
-                self.value[:, o, i],
-                self.variance[:, o, i],
-                position_mm=position_mm,
-                source=source,
-                clock=clock,
+            FrequencyResponse(u, y, self.frequency_hz, self.value[:, o, i], self.variance[:, o, i], **labels).between(
+                *band_hz
             )
-            for o, output_name in enumerate(outputs)
-            for i, input_name in enumerate(inputs)
+            for o, y in enumerate(outputs)
+            for i, u in enumerate(inputs)
         ]
-
-    def between(self, lowest_hz: float, highest_hz: float) -> FrfMatrix:
-        """Restrict to a band, both ends included."""
-        keep = (self.frequency_hz >= lowest_hz) & (self.frequency_hz <= highest_hz)
-        return replace(
-            self,
-            frequency_hz=self.frequency_hz[keep],
-            value=self.value[keep],
-            variance=self.variance[keep],
-        )
 
 
 def periodic_frf(

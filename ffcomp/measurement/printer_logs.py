@@ -22,7 +22,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -85,15 +85,6 @@ class MotionLog:
     settings: Mapping[str, Mapping[str, Any]]  # the configuration's sections; empty: there was no index
 
 
-@dataclass
-class _Messages:
-    """What the messages of one log say, as they come."""
-
-    moves: list[list[Any]] = field(default_factory=list)
-    steps: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    sensors: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-
-
 def is_motion_log(path: str | Path) -> bool:
     """Tell a log or its index by its ending and its first bytes."""
     if not str(path).endswith(ENDINGS):
@@ -115,11 +106,14 @@ def read_motion_log(path: str | Path) -> MotionLog:
     MeasurementError
         For a file that is no such log, or lacks motion or accelerations.
     """
-    messages = _Messages()
+    messages: dict[str, dict[str, list[dict[str, Any]]]] = {"trapq": {}, "stepq": {}, "accelerometer": {}}
     for message in _objects(path):
-        _note(message, messages)
-    if not messages.moves or not messages.sensors:
-        missing = "commanded motion (trapq:toolhead)" if not messages.moves else "acceleration (accelerometer:…)"
+        (kind, _, name), params = str(message.get("q", "")).partition(":"), message.get("params")
+        if kind in messages and isinstance(params, dict) and params.get("data"):
+            messages[kind].setdefault(name, []).append(params)
+    moves = messages["trapq"].get("toolhead", [])
+    if not moves or not messages["accelerometer"]:
+        missing = "commanded motion (trapq:toolhead)" if not moves else "acceleration (accelerometer:…)"
         raise MeasurementError(
             str(path),
             [
@@ -129,9 +123,9 @@ def read_motion_log(path: str | Path) -> MotionLog:
         )
     return MotionLog(
         str(path),
-        _nozzle(messages.moves),
-        {name: _steps(parts) for name, parts in messages.steps.items()},
-        {name: _samples(parts) for name, parts in messages.sensors.items()},
+        _nozzle([row for each in moves for row in each["data"]]),
+        {name: _steps(parts) for name, parts in messages["stepq"].items()},
+        {name: _samples(parts) for name, parts in messages["accelerometer"].items()},
         _settings(path),
     )
 
@@ -154,19 +148,6 @@ def _objects(path: str | Path) -> Iterator[dict[str, Any]]:
             continue  # the last one of a log that was cut off
         if isinstance(message, dict):
             yield message
-
-
-def _note(message: Mapping[str, Any], messages: _Messages) -> None:
-    kind, _, name = str(message.get("q", "")).partition(":")
-    params = message.get("params")
-    if not isinstance(params, dict) or not params.get("data"):
-        return
-    if kind == "trapq" and name == "toolhead":
-        messages.moves += params["data"]
-    elif kind == "stepq":
-        messages.steps.setdefault(name, []).append(params)
-    elif kind == "accelerometer":
-        messages.sensors.setdefault(name, []).append(params)
 
 
 def _nozzle(rows: list[list[Any]]) -> Nozzle:

@@ -51,12 +51,8 @@ def frfs_from_recordings(
             matrix = sweep_frf(u, y, rate, lowest_hz, highest_hz, half_width_hz=half_width_hz)
     except MeasurementError as error:  # the estimators know no files
         raise MeasurementError(error.path or recordings[0].source, error.problems) from error
-    return matrix.between(lowest_hz, highest_hz).responses(
-        inputs,
-        outputs,
-        position_mm=position_mm,
-        source=", ".join(Path(recording.source).name for recording in recordings),
-    )
+    source = ", ".join(Path(recording.source).name for recording in recordings)
+    return matrix.responses(inputs, outputs, (lowest_hz, highest_hz), position_mm=position_mm, source=source)
 
 
 def _commands(recordings: Sequence[Recording]) -> list[bool]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,4 +69,4 @@ def _responses(record: lab.Record, excited: str, answers: list[str], **about: An
     period = round(lab.PERIOD_S * lab.RATE_HZ)
     lifted = record.answer - record.answer.mean(axis=0)  # where a carriage stands is not how it answers
     matrix = periodic_frf(record.excited[:, None], lifted, lab.RATE_HZ, period)
-    return [replace(each, **about) for each in matrix.responses([excited], answers)]
+    return matrix.responses([excited], answers, (0.0, lab.RATE_HZ), **about)
