@@ -61,7 +61,7 @@ SIGNALS = {
     for end, kinds in {"input": ("cmd", "force"), "output": ("pos", "acc")}.items()
 }
 NUMBERS = {"position_mm": 3, "added_mass_kg": 1, "averages": 1}  # how many each label has
-KEYS = (*SIGNALS, *NUMBERS, "setup", "clock")
+KEYS = ("input", "output", "position_mm", "setup", "added_mass_kg", "averages", "clock")
 
 
 def read_labels(comments: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:

@@ -183,7 +183,7 @@ Columns = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 def fit_time(
     since: FloatArray, record: FloatArray, columns: Columns, start: tuple[float, float], free_ratio: bool
 ) -> tuple[ClockFit, FloatArray]:
-    """Fit a clock by Gauss-Newton with linear sizes eliminated (Golub & Pereyra, SIAM Journal on Numerical Analysis 10, 1973).
+    """Fit a clock by Gauss-Newton with linear sizes eliminated (Golub & Pereyra, Inverse Problems 19, 2003).
 
     Parameters
     ----------

@@ -310,36 +310,31 @@ def _plan(read: Mapping[str, Any]) -> Plan:
         machine=read["machine"]["name"],
         machine_sha256=read["machine"]["sha256"],
         experiments=tuple(_experiment(entry) for entry in read["experiments"]),
-        repeats=int(read["repeats"]),
-        rest_before_s=float(read["rest_before_s"]),
-        rest_after_s=float(read["rest_after_s"]),
-        seed=int(read["seed"]),
         print_file=read["print"],
         shaper=read.get("shaper", "off"),
         page=Page(**read["page"]) if "page" in read else None,
+        **{key: kind(read[key]) for key, kind in _NUMBERS.items()},
     )
+
+
+_NUMBERS: dict[str, Any] = {"repeats": int, "rest_before_s": float, "rest_after_s": float, "seed": int}
 
 
 def _experiment(entry: Mapping[str, Any]) -> Experiment:
     x, y, z = entry["position_mm"]
-    return Experiment(
-        name=entry["name"],
-        kind=entry["kind"],
-        place=int(entry["place"]),
-        position_mm=(x, y, z),
-        motion=_motion(entry),
-        rounding=float(entry["microstep_error"]),
-        excitation=_excitation(entry["excitation"]) if "excitation" in entry else None,
-    )
+    excitation = None
+    if "excitation" in entry:
+        numbers = {each.name: entry["excitation"][each.name] for each in fields(Excitation)}
+        excitation = Excitation(**numbers | {"band": Band(**numbers["band"])})
+    name, kind, place, rounding = (entry[key] for key in ("name", "kind", "place", "microstep_error"))
+    return Experiment(name, kind, int(place), (x, y, z), _motion(entry), float(rounding), excitation)
 
 
 def _motion(entry: Mapping[str, Any]) -> Motion:
     ends = np.array(entry["ends_mm"], dtype=np.float64)
     n = len(ends)
-    move_limits = np.full((n, len(LIMIT_COLUMNS)), np.nan)
-    for i, name in enumerate(LIMIT_COLUMNS):
-        if name in entry.get("own_limits", {}):
-            move_limits[:, i] = np.array(entry["own_limits"][name], dtype=np.float64)
+    own, nothing = entry.get("own_limits", {}), [None] * n
+    move_limits = np.array([own.get(name, nothing) for name in LIMIT_COLUMNS], dtype=np.float64).T
     stops, waits = np.zeros(n, dtype=np.bool_), np.zeros(n)
     stops[entry.get("stops", [])] = True
     for index, wait in entry.get("waits_s", {}).items():
@@ -356,8 +351,3 @@ def _motion(entry: Mapping[str, Any]) -> Motion:
         stop_before=stops,
         wait_before=waits,
     )
-
-
-def _excitation(entry: Mapping[str, Any]) -> Excitation:
-    numbers = {each.name: entry[each.name] for each in fields(Excitation)}
-    return Excitation(**numbers | {"band": Band(**entry["band"])})

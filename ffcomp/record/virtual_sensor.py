@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from ffcomp.errors import RequestError
 from ffcomp.measurement.sensors import G
@@ -94,10 +95,9 @@ def write_captures(
 
 def _tilt(rng: np.random.Generator, tilt_deg: float) -> FloatArray:
     """Return a rotation (3, 3) about a horizontal axis of any direction."""
-    about, angle = rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(tilt_deg)
-    x, y = np.cos(about), np.sin(about)
-    skew = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew)
+    about = rng.uniform(0.0, 2.0 * np.pi)
+    axis = np.array([np.cos(about), np.sin(about), 0.0])
+    return np.asarray(Rotation.from_rotvec(tilt_deg * axis, degrees=True).as_matrix())
 
 
 def _sensor_signal(experiment: Experiment, machine: Machine, plant: Machine, t: FloatArray) -> FloatArray:
