@@ -25,7 +25,8 @@ def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine
     plant = load_machine(request.plant) if request.plant else machine
     placed = _placement(request, machine)
     command, warnings = read_command(request.file, machine, placed.offset, request.flavor, request.plate)
-    return command, machine, plant, [*([placed.reason] if placed.notable else []), *warnings]
+    said = [machine.assumed, plant.assumed, placed.reason if placed.notable else "", *warnings]
+    return command, machine, plant, list(dict.fromkeys(each for each in said if each))
 
 
 def _placement(request: SimulateRequest, machine: Machine) -> Placement:

@@ -119,7 +119,7 @@ class ShownMachine(Result):
     @property
     def warnings(self) -> list[str]:
         """Whether the modes are assumed."""
-        return _assumed(self.machine)
+        return list(filter(None, [self.machine.assumed]))
 
 
 @verb
@@ -131,7 +131,7 @@ def check_machine(request: MachineRequest) -> Result:
 
     loaded = load_plant(request.machine)
     problems = _instability(unstable_positions(loaded))
-    notes = [*_assumed(loaded), *still_assumed(loaded.provenance, loaded.flavor)]
+    notes = [*filter(None, [loaded.assumed]), *still_assumed(loaded.provenance, loaded.flavor)]
     if not loaded.vibration.position_dependent:  # modes of straight axes: no forces, so no energy to account for
         return CheckedMachine(loaded, problems, notes)
     disagreements, sound = redundancy_problems(loaded), check_physics(loaded)
@@ -222,13 +222,6 @@ def new_machine(request: NewMachineRequest) -> None:
     except FileExistsError:
         raise RequestError(f"{path}: this file exists already; give another name or another --output.") from None
     print(path)
-
-
-def _assumed(machine: Machine) -> list[str]:
-    from models.machine import assumed_modes
-
-    sentence = assumed_modes(machine)
-    return [] if sentence is None else [sentence]
 
 
 def _soundness_facts(sound: PhysicsChecks) -> list[Fact]:

@@ -127,10 +127,7 @@ class ShowResult(Result):
     @property
     def warnings(self) -> list[str]:
         """Whether the machine's modes are assumed, and the errors computed now."""
-        from models.machine import assumed_modes
-
-        assumed = assumed_modes(self.machine)
-        return [*([assumed] if assumed else []), *([] if self.kept else [COMPUTED])]
+        return list(filter(None, [self.machine.assumed, "" if self.kept else COMPUTED]))
 
     @property
     def next_steps(self) -> Sequence[str]:

@@ -109,10 +109,8 @@ def _simulate(request: SimulateRequest) -> Simulation:
     from dataclasses import replace
 
     from ffcomp.api.simulation import read_simulation, run_simulation
-    from models.machine import assumed_modes
 
     command, machine, plant, warnings = read_simulation(request)
-    assumed = dict.fromkeys(filter(None, map(assumed_modes, (machine, plant))))
     parts = command.between(request.from_s, request.to_s)
     if request.recording is not None and len(parts) > 1:
         times = ", ".join(f"{begin:.3f} to {end:.3f} s" for _, begin, end in parts)
@@ -122,4 +120,4 @@ def _simulate(request: SimulateRequest) -> Simulation:
         )
     with Progress(sum(end - begin for _, begin, end in parts), "simulating") as progress:
         done = run_simulation(replace(request, progress=progress), command, machine, plant)
-    return replace(done, warnings=[*assumed, *warnings])
+    return replace(done, warnings=warnings)

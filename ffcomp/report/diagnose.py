@@ -74,7 +74,7 @@ def page_of(diagnosis: Diagnosis) -> Page:
     sections += [
         Section(
             "Evidence",
-            tables=[_evidence(search, result), _screened(search, result), _retuned(search, result)],
+            tables=[_evidence(search, result), _retuned(search, result)],
             folded=True,
         ),
         Section("Files", tables=[Table(("", ""), _files(diagnosis, where))], folded=True),
@@ -106,18 +106,6 @@ def _evidence(search: Search, result: DiagnosisResult) -> Table:
         for names, fit, behind in sorted(tried, key=lambda each: each[2])
     ]
     return Table(head, rows, "Explanations")
-
-
-def _screened(search: Search, result: DiagnosisResult) -> Table:
-    rows = [
-        (
-            f"{title(each.candidate.name, result.names.catalogue)} ({each.candidate.name})",
-            evidence(-each.evidence),
-            "yes" if each.visible else "no",
-        )
-        for each in sorted(search.screened, key=lambda each: (not each.visible, each.evidence))
-    ]
-    return Table(("effect", "gain to first order, −2 ln Z", "visible in these runs"), rows, "Screening")
 
 
 def _retuned(search: Search, result: DiagnosisResult) -> Table:

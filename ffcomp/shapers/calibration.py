@@ -256,11 +256,10 @@ def shaper_advice(machine: Machine) -> tuple[ShaperAdvice, ...]:
 
 def highest_acceleration(fit: Fit, corner: float) -> float:
     """Return the highest acceleration, mm/s², that keeps the rounding of corners within Klipper's tolerance."""
-    low, high, step = 0.0, 100_000.0, 100.0
-    while high - low > step / 10:
-        middle = (low + high) / 2
-        low, high = (middle, high) if smoothing(fit.shaper, corner, middle) <= TARGET_SMOOTHING_MM else (low, middle)
-    return step * int(low / step)
+    a, late, t = fit.shaper.amplitude, np.maximum(fit.shaper.time, 0.0), fit.shaper.time  # as in `smoothing`
+    at_corner = (TARGET_SMOOTHING_MM / np.sqrt(2) - corner * a @ late) / (a @ late**2 / 2)
+    at_reversal = TARGET_SMOOTHING_MM / (a @ t**2 / 2)
+    return 100.0 * max(int(min(at_corner, at_reversal) / 100.0), 0)
 
 
 def in_words(advice: tuple[ShaperAdvice, ...]) -> str:
