@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -188,23 +188,12 @@ class Statistics:
 
     def __add__(self, later: Statistics) -> Statistics:
         """Add the statistics of a later part; a warning is kept once."""
-        samples = [each.predicted for each in (self, later) if each.predicted is not None]
-        return Statistics(
-            moves=self.moves + later.moves,
-            segments=self.segments + later.segments,
-            windows=self.windows + later.windows,
-            limited_windows=self.limited_windows + later.limited_windows,
-            original_print_time_s=self.original_print_time_s + later.original_print_time_s,
-            print_time_s=self.print_time_s + later.print_time_s,
-            warnings=tuple(dict.fromkeys(self.warnings + later.warnings)) if later.warnings else self.warnings,
-            slowed=self.slowed + later.slowed,
-            predicted=samples[0] + samples[1] if len(samples) > 1 else next(iter(samples), None),
-            shares=self.shares + later.shares,
-            settlings=self.settlings + later.settlings,
-            settling_s=self.settling_s + later.settling_s,
-            faster=self.faster + later.faster if self.faster and later.faster else self.faster or later.faster,
-            unsafe=self.unsafe + later.unsafe,
-        )
+        sums = {each.name: _sum(getattr(self, each.name), getattr(later, each.name)) for each in fields(self)}
+        return Statistics(**sums | {"warnings": tuple(dict.fromkeys(sums["warnings"]))})
+
+
+def _sum(one: Any, later: Any) -> Any:
+    return later if one is None else one if later is None else one + later
 
 
 def of_plan(planned: PlannedProgram, extent: Extent) -> Statistics:

@@ -155,19 +155,27 @@ class RobustReference:
         mean_lines = np.zeros((len(spans), 3, length // 2 + 1), np.complex64)  # of what y makes of the mean, twice
         y: ShortArray = np.zeros((len(spans), 3, n), np.float32)
         direction, last_z = np.zeros_like(y), np.zeros_like(y)
-        last_energy = np.zeros(len(spans), np.float32)
+        last_energy = np.full(len(spans), np.inf, np.float32)
         error, errors = path_error, np.empty((len(spans), 3 + spread.shape[1], lines), np.complex64)
         for left in reversed(range(self._steps)):
             normal, weight = normal_errors(rows, directions, error, self._tangent_weight)
             np.multiply(rfft(normal)[..., :lines], 0.5, out=errors[:, :3])
             errors[:, 3:] = rfft(weigh(weight, spread))[..., :lines]
-            gradient = rows_of(apply_adjoint(of_y, errors, n // 2 + 1), n)
-            descent = search(gradient, allowed, weight, y, last_z, last_energy, direction)
+            gradient = allowed * rows_of(apply_adjoint(of_y, errors, n // 2 + 1), n) + REGULARISATION * y
+            z = ALONG * gradient - (ALONG - 1.0) * weigh(weight, gradient)
+            energy = _product(gradient, z)
+            share = np.maximum((energy - _product(gradient, last_z)) / last_energy, 0.0)
+            direction = allowed * z + share[:, None, None] * direction
+            last_z, last_energy = z, np.where(energy > 0.0, energy, np.inf)  # nothing by nothing is nothing
             change_lines = apply(of_y, lines_of(direction, lines), n // 2 + 1)
             change = rows_of(change_lines, n)
-            step = advance(change, weight, direction, descent, y, spread)
+            curvature = _product(change, weigh(weight, change)) + REGULARISATION * _product(direction, direction)
+            descent = _product(gradient, direction)
+            step = np.divide(descent, curvature, out=np.zeros_like(descent), where=curvature > 0.0)[:, None, None]
+            y -= step * direction
             if left:
-                mean_lines[..., :lines] -= (2.0 * step)[:, None, None] * change_lines[:, :3, :lines]
+                spread -= step * change[:, 3:]
+                mean_lines[..., :lines] -= 2.0 * step * change_lines[:, :3, :lines]
                 error = path_error + rows_of(mean_lines, length)
         return moving * rows_of(lines_of(y, lines) * (2.0 * self._low_pass[::stride]), length)
 
@@ -181,6 +189,11 @@ def _folded(lines: ShortComplexArray, n: int) -> ShortComplexArray:
     if above.shape[-1]:
         out[..., n // 2 + 1 - above.shape[-1] :] += np.conj(above[..., ::-1])
     return np.asarray(0.5 * out, dtype=np.complex64)
+
+
+def _product(a: ShortArray, b: ShortArray) -> ShortArray:
+    """Return the scalar product (s,) of arrays (s, k, n), each s by itself."""
+    return np.asarray(np.einsum("skn,skn->s", a, b))
 
 
 @kernel
@@ -292,103 +305,6 @@ def weigh(weight: ShortArray, errors: ShortArray) -> ShortArray:
                 ox[i] = xx[i] * x[i] + xy[i] * y[i] + xz[i] * z[i]
                 oy[i] = xy[i] * x[i] + yy[i] * y[i] + yz[i] * z[i]
                 oz[i] = xz[i] * x[i] + yz[i] * y[i] + zz[i] * z[i]
-    return out
-
-
-@fast_kernel
-def search(
-    gradient: ShortArray,
-    allowed: ShortArray,
-    weight: ShortArray,
-    y: ShortArray,
-    last_z: ShortArray,
-    last_energy: ShortArray,
-    direction: ShortArray,
-) -> ShortArray:
-    """Turn directions of search (s, 3, n) to where y gets better, and return how fast (s,) it does along them.
-
-    gradient : (s, 3, n), without what the size of y itself adds
-    allowed : (s, 1, n), 1 where y may be something; weight : (s, 6, n), W
-    last_z, last_energy : (s, 3, n) and (s,), the preconditioned gradient of the step before and its product with the
-        gradient; overwritten
-    """
-    out = np.empty(len(y), np.float32)
-    z = np.empty_like(y[0])
-    g = np.empty_like(z)
-    for s in range(len(y)):
-        may = allowed[s, 0]
-        w = weight[s]
-        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]
-        for j in range(3):
-            free, at = gradient[s, j], y[s, j]
-            for i in range(len(may)):
-                g[j, i] = may[i] * free[i] + np.float32(REGULARISATION) * at[i]
-        energy, before = np.float32(0.0), np.float32(0.0)
-        near = np.float32(ALONG - 1.0)
-        for i in range(len(may)):
-            z[0, i] = np.float32(ALONG) * g[0, i] - near * (xx[i] * g[0, i] + xy[i] * g[1, i] + xz[i] * g[2, i])
-            z[1, i] = np.float32(ALONG) * g[1, i] - near * (xy[i] * g[0, i] + yy[i] * g[1, i] + yz[i] * g[2, i])
-            z[2, i] = np.float32(ALONG) * g[2, i] - near * (xz[i] * g[0, i] + yz[i] * g[1, i] + zz[i] * g[2, i])
-        for j in range(3):
-            for i in range(len(may)):
-                energy += g[j, i] * z[j, i]
-                before += g[j, i] * last_z[s, j, i]
-        share = np.float32(0.0)  # nothing by nothing is nothing
-        if last_energy[s] > 0.0:
-            share = max((energy - before) / last_energy[s], share)
-        last_energy[s] = energy
-        descent = np.float32(0.0)
-        for j in range(3):
-            for i in range(len(may)):
-                last_z[s, j, i] = z[j, i]
-                direction[s, j, i] = may[i] * z[j, i] + share * direction[s, j, i]
-                descent += g[j, i] * direction[s, j, i]
-        out[s] = descent
-    return out
-
-
-@fast_kernel
-def advance(
-    change: ShortArray,
-    weight: ShortArray,
-    direction: ShortArray,
-    descent: ShortArray,
-    y: ShortArray,
-    spread: ShortArray,
-) -> ShortArray:
-    """Go along directions (s, 3, n) as far as the errors become less, change y and `spread`, and return how far (s,).
-
-    change : (s, 3 + 3 p, n), of the errors by the directions: of the mean, and of the spread (s, 3 p, n)
-    """
-    out = np.zeros(len(y), np.float32)
-    for s in range(len(y)):
-        w = weight[s]
-        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]
-        curvature = np.float32(0.0)
-        for p in range(0, change.shape[1], 3):
-            a, b, c = change[s, p], change[s, p + 1], change[s, p + 2]
-            for i in range(len(a)):
-                curvature += (
-                    xx[i] * a[i] * a[i]
-                    + yy[i] * b[i] * b[i]
-                    + zz[i] * c[i] * c[i]
-                    + np.float32(2.0) * (xy[i] * a[i] * b[i] + xz[i] * a[i] * c[i] + yz[i] * b[i] * c[i])
-                )
-        for j in range(3):
-            along = direction[s, j]
-            for i in range(len(along)):
-                curvature += np.float32(REGULARISATION) * along[i] * along[i]
-        if curvature > 0.0:
-            step = descent[s] / curvature
-            out[s] = step
-            for j in range(3):
-                row, by = y[s, j], direction[s, j]
-                for i in range(len(row)):
-                    row[i] -= step * by[i]
-            for j in range(spread.shape[1]):
-                row, by = spread[s, j], change[s, 3 + j]
-                for i in range(len(row)):
-                    row[i] -= step * by[i]
     return out
 
 
