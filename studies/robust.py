@@ -1,10 +1,10 @@
 """Robust inversion against the best input shaper, on printers that are not as their file says.
 
-    python -m studies.robust [--printers N] [--nonlinear N]     studies/reports/robust.md, some ten minutes
+    python -m studies.robust [--printers N] [--nonlinear N]     studies/reports/robust.md, some 40 minutes
 
 Six machines, 16 s of a print each, at the uncertainty that the machine file states: 5, 10 and 20 %. N linear printers
 (100) are drawn as `[uncertainty]` says, and none of them was among those that the inversion or the expectation draws. N
-others (4) have equations of their own, and errors of another kind: every mode or tower is off by itself, part of the
+others (20) have equations of their own, and errors of another kind: every mode or tower is off by itself, part of the
 damping is in the belts, the guides rub, and the nozzle hangs on a second mass.
 """
 
@@ -17,6 +17,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +28,18 @@ from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.simulation.expectation import (
     KINDS,
+    LEAST_VALUE,
     PRINTERS,
     Piece,
     Printer,
     best_shaper,
     draw_plants,
     errors_um,
+    latin_hypercube,
     pieces_of,
     playbacks,
     shaped_errors,
+    truncated_normal,
     tuned_shapers,
 )
 from ffcomp.simulation.linear import STEP_S
@@ -63,6 +67,8 @@ DELTA_STEPS = 6  # of the delta's integration in one row of a command
 TOOL_SHARE, TOOL_HZ = 0.1, (150.0, 300.0)  # second mass of a straight axis: of the moved mass, and its own frequency
 FRICTION_N = (0.3, 1.0)
 BRISTLE_N_PER_M = 5e4  # soft enough for so little friction in quick motion
+STRAIGHT_NUMBERS, DELTA_NUMBERS = 9, 22  # that are drawn for one printer
+SEED = 11
 
 
 # ---- printers with equations of their own --------------------------------------------------------
@@ -97,27 +103,46 @@ class Delta:
 
 
 def nonlinear(machine: Machine, sd: float, count: int) -> list[Printer]:
-    """Draw printers of the other kind."""
-    rng = np.random.default_rng(11)
-    if machine.vibration.position_dependent:
-        return [_delta(delta_plant.load_machine(machine.path), sd, rng) for _ in range(count)]
-    return [_straight(machine, sd, rng) for _ in range(count)]
+    """Draw printers of the other kind, PRINTERS of them as a Latin hypercube."""
+    delta = machine.vibration.position_dependent
+    shares: list[FloatArray] = []
+    while len(shares) < count:
+        shares += list(latin_hypercube(DELTA_NUMBERS if delta else STRAIGHT_NUMBERS, SEED + len(shares)))
+    draws = [_Draws(each, sd) for each in shares[:count]]
+    if delta:
+        file = delta_plant.load_machine(machine.path)
+        return [_delta(file, draw) for draw in draws]
+    return [_straight(machine, draw) for draw in draws]
 
 
-def _off(rng: np.random.Generator, sd: float, count: int) -> FloatArray:
-    return np.asarray(1.0 + sd * rng.standard_normal(count).clip(-2.5, 2.5)).clip(0.2)
+class _Draws:
+    """The numbers of one printer, from shares 0 to 1."""
+
+    def __init__(self, shares: FloatArray, sd: float) -> None:
+        self._shares, self._sd = iter(shares.tolist()), sd
+
+    def _next(self, count: int) -> FloatArray:
+        return np.fromiter(islice(self._shares, count), float, count)
+
+    def factors(self, count: int) -> FloatArray:
+        """Draw what numbers of the file are multiplied by."""
+        return np.asarray(1.0 + self._sd * truncated_normal(self._next(count))).clip(LEAST_VALUE)
+
+    def between(self, range_: tuple[float, float], count: int) -> FloatArray:
+        """Draw evenly from a range."""
+        return range_[0] + (range_[1] - range_[0]) * self._next(count)
 
 
-def _straight(machine: Machine, sd: float, rng: np.random.Generator) -> Straight:
+def _straight(machine: Machine, draw: _Draws) -> Straight:
     axes = [(value_of(machine, f"axes.{x}.stiffness[0]"), value_of(machine, f"axes.{x}.damping[0]")) for x in "xy"]
-    omega = np.sqrt([stiffness for stiffness, _ in axes]) * _off(rng, sd, 2)
-    held = np.array([damping for _, damping in axes]) * _off(rng, sd, 2)  # 2 ζ ω
+    omega = np.sqrt([stiffness for stiffness, _ in axes]) * draw.factors(2)
+    held = np.array([damping for _, damping in axes]) * draw.factors(2)  # 2 ζ ω
     assert isinstance(machine.kinematics, CartesianKinematics)
     corexy = np.array_equal(machine.kinematics.motor_matrix, COREXY)
     stiffness = np.full(2, 3e4)
     mass = (2.0 if corexy else 1.0) * stiffness / omega**2
-    tool, in_belts = TOOL_SHARE * mass, rng.uniform(0.0, 1.0)
-    mount = tool * (2 * np.pi * rng.uniform(*TOOL_HZ, 2)) ** 2
+    tool, in_belts = TOOL_SHARE * mass, draw.between((0.0, 1.0), 1)
+    mount = tool * (2 * np.pi * draw.between(TOOL_HZ, 2)) ** 2
     belts = in_belts * held * mass
     plant = straight_plant.Plant(
         motors=((1.0, 1.0), (1.0, -1.0)) if corexy else ((1.0, 0.0), (0.0, 1.0)),
@@ -128,23 +153,23 @@ def _straight(machine: Machine, sd: float, rng: np.random.Generator) -> Straight
         guide_n_s_per_m=_pair((1.0 - in_belts) * held * mass),
         belt_n_s_per_m=_pair(np.full(2, belts.mean() / 2) if corexy else belts),
         mount_n_s_per_m=_pair(2 * 0.03 * np.sqrt(mount * tool)),
-        friction_n=_pair(rng.uniform(*FRICTION_N, 2)),
+        friction_n=_pair(draw.between(FRICTION_N, 2)),
         bristle_n_per_m=BRISTLE_N_PER_M,
     )
     return Straight(plant)
 
 
-def _delta(machine: dict[str, Any], sd: float, rng: np.random.Generator) -> Delta:
+def _delta(machine: dict[str, Any], draw: _Draws) -> Delta:
     carriage, effector = machine["carriage"], dict(machine["effector"])
     towers: dict[str, Any] = {
-        key: (carriage[key] * _off(rng, sd, 3)).tolist()
+        key: (carriage[key] * draw.factors(3)).tolist()
         for key in ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
     }
     towers["carriage_mass_kg"] = towers.pop("mass_kg")
-    towers["friction_n"] = rng.uniform(*FRICTION_N, 3).tolist()
+    towers["friction_n"] = draw.between(FRICTION_N, 3).tolist()
     for key in ("extruder_stiffness_n_per_m", "extruder_damping_n_s_per_m"):
-        effector[key] = (np.asarray(effector[key]) * _off(rng, sd, 3)).tolist()
-    effector["nozzle_mass_kg"] *= float(_off(rng, sd, 1)[0])
+        effector[key] = (np.asarray(effector[key]) * draw.factors(3)).tolist()
+    effector["nozzle_mass_kg"] *= float(draw.factors(1)[0])
     return Delta({**machine, "effector": effector, "towers": towers, "effects": {}})
 
 
@@ -207,7 +232,7 @@ def main() -> None:
     """Measure, and write the results and the page."""
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("--printers", type=int, default=100)
-    parser.add_argument("--nonlinear", type=int, default=4)
+    parser.add_argument("--nonlinear", type=int, default=PRINTERS)
     arguments = parser.parse_args()
     counts = arguments.printers, arguments.nonlinear
     write([row for name, printed in CASES for row in rows(name, printed, counts)], counts)

@@ -56,19 +56,28 @@ def draw_plants(machine: Machine, relative_sd: float | None, count: int) -> list
     ----------
     relative_sd : of every number of the machine file; None: from its `[uncertainty]`
     """
-    from scipy.special import ndtr, ndtri
-
     parameters = machine.vibration.parameters()
-    stated = machine.uncertainty if relative_sd is None else {"default": relative_sd}
-    spread, below = parameters.relative_sd(stated), ndtr(-TRUNCATION_SD)
+    spread = parameters.relative_sd(machine.uncertainty if relative_sd is None else {"default": relative_sd})
     plants: list[Machine] = []
     while len(plants) < count:
-        rng = np.random.default_rng(len(plants))
-        cells = np.stack([rng.permutation(PRINTERS) for _ in range(parameters.columns)], axis=1)
-        share = (cells + rng.random(cells.shape)) / PRINTERS
-        draws = ndtri(below + share * (1.0 - 2.0 * below))
+        draws = truncated_normal(latin_hypercube(parameters.columns, len(plants)))
         plants += [with_values(machine, parameters.scaled(off, spread, LEAST_VALUE)) for off in draws]
     return plants[:count]
+
+
+def latin_hypercube(columns: int, seed: int) -> FloatArray:
+    """Draw (PRINTERS, columns) shares, 0 to 1: of every column, one lies in each PRINTERS-th."""
+    rng = np.random.default_rng(seed)
+    cells = np.stack([rng.permutation(PRINTERS) for _ in range(columns)], axis=1)
+    return np.asarray((cells + rng.random(cells.shape)) / PRINTERS)
+
+
+def truncated_normal(shares: FloatArray) -> FloatArray:
+    """Return standard deviations from the mean that so large a share of a truncated normal distribution lies below."""
+    from scipy.special import ndtr, ndtri
+
+    below = ndtr(-TRUNCATION_SD)
+    return np.asarray(ndtri(below + shares * (1.0 - 2.0 * below)))
 
 
 class Printer(Protocol):
@@ -166,14 +175,12 @@ def pieces_of_segments(
     share : of the print that is wanted; 1 or more: all of it
     lot : 0 to 1, evenly drawn for each section. So short ones, travel mostly, get their share like long ones
     """
-    begin, seconds = float(knots_t[0]), float(knots_t[-1] - knots_t[0])
-    if share >= 1.0 or seconds <= PIECE_S:
-        wanted = share + lot >= 1.0
-        return [_piece_of_segments(plan, knots_t, vertices, path, begin, seconds)] if wanted else []
-    count = min(int(share * seconds / PIECE_S + lot), int(seconds / PIECE_S))
+    seconds = float(knots_t[-1] - knots_t[0])
+    length = seconds if share >= 1.0 else min(seconds, PIECE_S)
+    count = min(int(share * seconds / length + lot), int(seconds / length))
     pitch = seconds / max(count, 1)
-    firsts = (begin + (k + 0.5) * pitch - 0.5 * PIECE_S for k in range(count))
-    return [_piece_of_segments(plan, knots_t, vertices, path, first, PIECE_S) for first in firsts]
+    firsts = (float(knots_t[0]) + k * pitch + 0.5 * (pitch - length) for k in range(count))
+    return [_piece_of_segments(plan, knots_t, vertices, path, first, length) for first in firsts]
 
 
 def _piece_of_segments(
@@ -208,15 +215,6 @@ class Expectation:
 
     headline: str  # what to expect, in a sentence; the shaper first where it is better
     next_step: str  # that a measurement comes first, with its command; empty: the file is known well enough
-
-    @property
-    def shaper_is_better(self) -> bool:
-        """Whether the firmware's own shaper leaves less."""
-        return _shaper_is_better(self.compensated_um, self.shaper_um)
-
-
-def _shaper_is_better(compensated_um: float, shaper_um: float) -> bool:
-    return compensated_um > TIE * shaper_um
 
 
 class Tuned(NamedTuple):
@@ -291,7 +289,7 @@ def expectation_of(machine: Machine, **numbers: Any) -> Expectation:
     """Add what follows from an expectation's numbers, the fields of `Expectation`: its headline, and the next step."""
     sd, assumed, name = numbers["uncertainty"], numbers["assumed"], numbers["shaper_name"]
     before, after, shaper = (numbers[f"{way}_um"] for way in ("uncompensated", "compensated", "shaper"))
-    better = _shaper_is_better(after, shaper)
+    better = after > TIE * shaper
     first = "The firmware's input shaper is better here: e" if better else "E"
     headline = (
         f"{first}xpected contour error {condition_of(sd, assumed)}: {um(after)} µm rms, with the best input shaper "

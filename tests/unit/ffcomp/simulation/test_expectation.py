@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from ffcomp.simulation.expectation import (
     Piece,
     draw_plants,
     expectation,
+    expectation_of,
     pieces_of,
     tuned_shapers,
 )
@@ -55,11 +56,12 @@ def test_where_the_file_is_certain_the_printer_is_as_it_says(machine: Machine) -
 
 def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(machine: Machine) -> None:
     found = uncompensated(machine)
-    assert found.shaper_is_better and found.assumed and found.uncertainty == pytest.approx(0.2, rel=0.1)
+    assert found.assumed and found.uncertainty == pytest.approx(0.2, rel=0.1)
     assert found.headline.startswith("The firmware's input shaper is better here") and "assumed" in found.headline
     assert "ffcomp record plan --for identify -m ender-3" in found.next_step
     assert found.shaper_um > uncompensated(replace(machine, uncertainty={"default": 0.0})).shaper_um > 0.0
-    assert not replace(found, compensated_um=1.0).shaper_is_better
+    numbers = {each.name: getattr(found, each.name) for each in fields(found)[:-2]} | {"compensated_um": 1.0}
+    assert expectation_of(machine, **numbers).headline.startswith("Expected contour error")
 
 
 def test_pieces_where_nothing_rings_do_not_tune_a_shaper(machine: Machine) -> None:
