@@ -10,14 +10,8 @@ from __future__ import annotations
 class GcodeError(ValueError):
     """A G-code line that cannot be followed.
 
-    Parameters
-    ----------
-    rule : str
-        A sentence with the value and the rule that it breaks.
-    line : int or None
-        1-based line number in the file.
-    path : str
-        The file, as the user named it.
+    rule : a sentence with the value and the rule that it breaks
+    line : number in the file, from 1;  path : the file, as the user named it
     """
 
     exit_code = 4

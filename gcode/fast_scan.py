@@ -252,17 +252,8 @@ class MoveTable:
         if not np.isnan(filament).all():
             speed = np.fmin(speed, _speed_for_filament(end - start, filament))
         travels = (end[:, 3] == start[:, 3]) & ~np.isnan(travel)
-        return Moves(
-            line=line,
-            start=start,
-            end=end,
-            speed=speed,
-            frame=frame,
-            velocity_limit=velocity,
-            acceleration=np.where(travels, travel, acceleration),
-            square_corner_velocity=corner,
-            minimum_cruise_ratio=cruise_ratio,
-        )
+        limited = velocity, np.where(travels, travel, acceleration), corner, cruise_ratio
+        return Moves(line, start, end, speed, frame, *limited)
 
     def _starts(self) -> FloatArray:
         start = np.empty((self.count, 4))

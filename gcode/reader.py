@@ -62,19 +62,10 @@ class Settings(TypedDict, total=False):
 
 
 def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **settings: Unpack[Settings]) -> Program:
-    """Read a file's bytes.
+    """Read a file's bytes; GcodeError for a line that cannot be followed, with its number.
 
-    Parameters
-    ----------
-    path : str
-        The file's name, for errors.
-    flavor : str or None
-        "klipper", "marlin" or "reprapfirmware"; None: detect it.
-
-    Raises
-    ------
-    GcodeError
-        A line that cannot be followed, with its number.
+    path : the file's name, for errors
+    flavor : "klipper", "marlin" or "reprapfirmware"; None: detect it
     """
     return _Reader(path, flavor or dialects.detect_flavor([data]), **settings).program(data)
 
@@ -113,23 +104,13 @@ def read_parts(
 class _Reader:
     """The modal state, which continues from part to part, and the tables of the present part."""
 
-    def __init__(
-        self,
-        path: str,
-        flavor: str,
-        *,
-        start: tuple[float, float, float] | None = None,
-        offset_mm: tuple[float, float] = (0.0, 0.0),
-        arc_tolerance_mm: float = ARC_TOLERANCE_MM,
-        returns: Iterable[str] = (),
-        still: Iterable[str] = (),
-        filament_change_s: float = 0.0,
-        cut: Callable[[Program], Program] | None = None,
-    ) -> None:
-        self.path, self.arc_tolerance, self.cut = path, arc_tolerance_mm, cut
-        macros, at_rest = (frozenset(map(str.upper, names)) for names in (returns, still))
-        self.modal = Modal(offset=offset_mm, dialect=DIALECTS[flavor], returns=macros, still=at_rest)
-        self.modal.filament_change_s = filament_change_s
+    def __init__(self, path: str, flavor: str, **settings: Unpack[Settings]) -> None:
+        self.path, self.cut = path, settings.get("cut")
+        self.arc_tolerance, start = settings.get("arc_tolerance_mm", ARC_TOLERANCE_MM), settings.get("start")
+        self.modal = Modal(offset=settings.get("offset_mm", (0.0, 0.0)), dialect=DIALECTS[flavor])
+        self.modal.returns = frozenset(map(str.upper, settings.get("returns", ())))
+        self.modal.still = frozenset(map(str.upper, settings.get("still", ())))
+        self.modal.filament_change_s = settings.get("filament_change_s", 0.0)
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # subjects of earlier warnings

@@ -16,12 +16,8 @@ if TYPE_CHECKING:
 class MachineFileError(ValueError):
     """A machine file that is missing, unreadable or wrong.
 
-    Parameters
-    ----------
-    path : str
-        The file or the machine's name, as the user gave it.
-    problems : sequence of str
-        Full sentences, one per mistake: key, value and the rule it breaks.
+    path : the file or the machine's name, as the user gave it
+    problems : full sentences, one per mistake: key, value and the rule it breaks
     """
 
     exit_code = 5
@@ -37,12 +33,8 @@ class MachineFileError(ValueError):
 class UnreachableError(ValueError):
     """Points out of the machine's reach.
 
-    Parameters
-    ----------
-    rule : str
-        A sentence with the first bad point and the rule it breaks.
-    indices : (k,) int
-        Row of every bad point in the checked array, so that a caller can name its G-code line.
+    rule : a sentence with the first bad point and the rule it breaks
+    indices : (k,) row of every bad point in the checked array, so that a caller can name its G-code line
     """
 
     exit_code = 4

@@ -53,8 +53,9 @@ def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
         return None, None
     kinematics = document.get("kinematics")
-    kind = kinematics.get("type") if isinstance(kinematics, dict) else None
-    return _text(kind), _text(document.get("name"))
+    said = kinematics.get("type") if isinstance(kinematics, dict) else None, document.get("name")
+    kind, name = (value if isinstance(value, str) else None for value in said)
+    return kind, name
 
 
 def _changed(path: Path) -> int:
@@ -62,7 +63,3 @@ def _changed(path: Path) -> int:
         return path.stat().st_mtime_ns
     except OSError:  # removed in the meantime
         return 0
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) else None

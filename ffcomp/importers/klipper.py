@@ -164,13 +164,8 @@ def _include(pattern: str, place: str, source: Path, config: KlipperConfig, with
         _read(v.decoded(file), 1, file, config, (*within, file.resolve()))
 
 
-KINDS = {
-    "delta": "delta",
-    "cartesian": "cartesian",
-    "limited_cartesian": "cartesian",
-    "corexy": "corexy",
-    "limited_corexy": "corexy",
-}
+KINDS = {kind: kind for kind in ("delta", "cartesian", "corexy")}
+KINDS |= {f"limited_{kind}": kind for kind in ("cartesian", "corexy")}
 TOWERS = "abc"
 FULL_STEPS_PER_ROTATION = 200.0
 SQUARE_CORNER_VELOCITY_MM_PER_S = 5.0

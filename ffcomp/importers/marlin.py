@@ -14,15 +14,8 @@ from pathlib import Path
 from ffcomp.importers import values as v
 from ffcomp.importers.values import AXES, Command, ConfigValues, PrinterConfigError, Value
 
-LETTERS = {
-    "M92": "XYZE",
-    "M201": "XYZE",
-    "M203": "XYZE",
-    "M204": "PRST",
-    "M205": "BEJSTXYZ",
-    "M350": "XYZ",
-    "M665": "ABCHLRXYZ",
-}
+LETTERS = {**dict.fromkeys(("M92", "M201", "M203"), "XYZE"), "M204": "PRST", "M205": "BEJSTXYZ", "M350": "XYZ"}
+LETTERS |= {"M665": "ABCHLRXYZ"}
 SENT = re.compile(r"\bsend(?:ing)?\s*:|>>>", re.IGNORECASE)
 QUIET_MODE = re.compile(r"stealth", re.IGNORECASE)  # a second set of limits that some firmwares list
 AREA = re.compile(r"area:\{full:\{min:\{(?P<low>[^}]*)\},max:\{(?P<high>[^}]*)\}")

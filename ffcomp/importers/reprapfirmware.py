@@ -14,14 +14,8 @@ from pathlib import Path
 from ffcomp.importers import values as v
 from ffcomp.importers.values import AXES, Command, ConfigValues, PrinterConfigError, Value
 
-KINDS = {
-    "0": "cartesian",
-    "cartesian": "cartesian",
-    "1": "corexy",
-    "corexy": "corexy",
-    "3": "delta",
-    "lineardelta": "delta",
-}
+KINDS = {"0": "cartesian", "1": "corexy", "3": "delta"}
+KINDS |= {"cartesian": "cartesian", "corexy": "corexy", "lineardelta": "delta"}
 NAMES = {"2": "CoreXZ", "4": "SCARA", "5": "CoreXYU", "6": "Hangprinter", "7": "polar", "8": "CoreXYUV"}
 NAMES |= {"10": "rotary delta", "11": "MarkForged (hybrid CoreXY)"}
 KEPT = {  # letters that hold until a later command sets them
@@ -104,9 +98,8 @@ def _macro(
         settings.unread = True
         return
     relative = name.removeprefix("0:").removeprefix("/sys/").lstrip("/")
-    file = next(
-        (place / relative for place in (source.parent, source.parent.parent) if (place / relative).is_file()), None
-    )
+    places = (folder / relative for folder in (source.parent, source.parent.parent))
+    file = next((place for place in places if place.is_file()), None)
     if file is None:
         settings.notes.append(f"{command.place}: {command.code} runs {name}, which is not here; it was not read.")
         settings.unread = True
@@ -161,10 +154,8 @@ def _m350(command: Command, settings: Settings) -> None:
             continue
         ratio = new.number / _microsteps(settings, letter).number
         if letter in settings.steps_per_mm and ratio != 1:
-            rule = f"M350 {letter} changed the microsteps afterwards"
-            settings.steps_per_mm[letter] = v.converted(
-                settings.steps_per_mm[letter].number * ratio, rule, settings.steps_per_mm[letter], new
-            )
+            steps, rule = settings.steps_per_mm[letter], f"M350 {letter} changed the microsteps afterwards"
+            settings.steps_per_mm[letter] = v.converted(steps.number * ratio, rule, steps, new)
         settings.microsteps[letter] = new
 
 

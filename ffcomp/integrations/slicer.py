@@ -54,14 +54,9 @@ class Call:
 
 def read_call(environment: Mapping[str, str]) -> Call:
     """Read the slicer's environment variables."""
-    bed = environment.get("SLIC3R_BED_SHAPE") or environment.get("SLIC3R_PRINTABLE_AREA") or ""
-    return Call(
-        environment.get("SLIC3R_PP_HOST", ""),
-        environment.get("SLIC3R_PP_OUTPUT_NAME", ""),
-        read_bed(bed),
-        environment.get("SLIC3R_GCODE_FLAVOR", ""),
-        _later(environment.get("SLIC3R_POST_PROCESS", "")),
-    )
+    names = "PP_HOST PP_OUTPUT_NAME GCODE_FLAVOR POST_PROCESS BED_SHAPE PRINTABLE_AREA"
+    host, output, flavor, later, bed, area = (environment.get(f"SLIC3R_{name}", "") for name in names.split())
+    return Call(host, output, read_bed(bed or area), flavor, _later(later))
 
 
 def read_bed(corners: str) -> Bed | None:

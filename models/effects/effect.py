@@ -257,15 +257,9 @@ class Effect:
         def in_words(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
             return tuple(p.on(quantities, words.meanings.get(p.name, p.meaning)) for p in parameters)
 
+        said = {key: getattr(words, key) for key in ("title", "physics", "remedy", "confounded_with")}
         return replace(
-            self,
-            title=words.title,
-            physics=words.physics,
-            remedy=words.remedy,
-            confounded_with=words.confounded_with,
-            parameters=in_words(self.parameters),
-            of_axis=in_words(self.of_axis),
-            of_printers=(),
+            self, **said, parameters=in_words(self.parameters), of_axis=in_words(self.of_axis), of_printers=()
         )
 
     def missing(self, table: Mapping[str, Any]) -> list[str]:

@@ -14,21 +14,11 @@ from models.printer.kernels.record import PARAMETERS, PrinterParameters
 
 GRAVITY_M_PER_S2 = 9.80665
 KNOWN = frozenset(PARAMETERS.names or ())
-NEUTRAL = {
-    "peak_stretch": np.inf,
-    "creep": np.ones(3),
-    "joint_creep": 1.0,
-}  # values of absent effects that are not zero
+NEUTRAL = {"peak_stretch": np.inf, "creep": np.ones(3), "joint_creep": 1.0}  # of absent effects, where not zero
 
 
 def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterParameters:
-    """Convert the machine and its effects to the kernels' record, in SI units.
-
-    Raises
-    ------
-    ValueError
-        If an effect is unknown or incomplete.
-    """
+    """Convert the machine and its effects to the kernels' record, SI; ValueError for an incomplete effect."""
     effective = effective_machine(machine)
     model = effective.vibration.printer_parameters(GRAVITY_M_PER_S2 if gravity else 0.0)
     geometry = effective.kinematics.printer_parameters()

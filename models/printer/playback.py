@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, values_of
 from models.machine import Machine
 from models.printer.kernels.record import LANES
-from models.printer.printer import SPLINE_ROWS, Hold, PrinterMotion, PrinterState, simulate_printers
+from models.printer.printer import SPLINE_ROWS, Hold, PrinterMotion, PrinterState, played, simulate_printers
 
 Rows = Callable[[int, int], FloatArray]  # first, last → (last - first, 3) mm, rows first … last - 1 of a command
 
@@ -64,17 +65,10 @@ def play(
     states: list[PrinterState] | None = None
 
     def advance(part: Sequence[int]) -> list[PrinterMotion]:
-        motions = simulate_printers(
-            [machines[i] for i in part],
-            [commands[i % len(commands)] for i in part],
-            row_s,
-            starts=None if states is None else [states[i] for i in part],
-            substeps=substeps,
-            gravity=gravity,
-            hold=hold,
-            ahead=coming,
-        )
-        return [_played(motion) for motion in motions]
+        given = [machines[i] for i in part], [commands[i % len(commands)] for i in part], row_s
+        starts = None if states is None else [states[i] for i in part]
+        how: Any = {"starts": starts, "substeps": substeps, "gravity": gravity, "hold": hold, "ahead": coming}
+        return [played(motion) for motion in simulate_printers(*given, **how)]
 
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         for first in range(0, count - 1, chunk_rows):
@@ -85,12 +79,6 @@ def play(
             motions = [motion for group in run(advance, parts) for motion in group]
             states = [motion.state for motion in motions]
             yield first, motions
-
-
-def _played(motion: PrinterMotion | ValueError) -> PrinterMotion:
-    if isinstance(motion, ValueError):
-        raise motion
-    return motion
 
 
 Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
@@ -179,9 +167,7 @@ def _in_windows(
     commands = [gentle_start(line[a - memory : b], start) if a > memory else line[:b] for line, a, b in windows]
     motions, values = simulate_printers([machine] * len(windows), commands, row_s, hold="linear"), []
     for (_, a, b), motion in zip(windows, motions, strict=True):
-        if isinstance(motion, ValueError):
-            raise motion
-        values.append(observe(motion)[a - b :])
+        values.append(observe(played(motion))[a - b :])
     ends = np.cumsum([len(at) - 1 for at in cuts])
     return [np.concatenate(values[end - len(at) + 1 : end]) for at, end in zip(cuts, ends, strict=True)]
 

@@ -111,6 +111,11 @@ def simulate_printer(
     (motion,) = simulate_printers(
         [machine], [command], dt_s, starts=starts, substeps=substeps, gravity=gravity, hold=hold, ahead=ahead
     )
+    return played(motion)
+
+
+def played(motion: PrinterMotion | ValueError) -> PrinterMotion:
+    """Return a motion of `simulate_printers`, or raise its error."""
     if isinstance(motion, ValueError):
         raise motion
     return motion

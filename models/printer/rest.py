@@ -24,12 +24,7 @@ EQUILIBRIUM_TOLERANCE_M = 1e-9
 def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameters) -> FloatArray:
     """Return the state of equilibrium, SI, under the command : (3,) mm, with belts stretched by weight.
 
-    Raises
-    ------
-    UnreachableError
-        If the arms cannot join the carriages.
-    ValueError
-        If there is no equilibrium.
+    UnreachableError: the arms cannot join the carriages. ValueError: there is no equilibrium.
     """
     effective = effective_machine(machine)
     modes = effective.vibration.printer_modes()
@@ -70,9 +65,9 @@ def _joined(kinematics: Kinematics, commands: FloatArray) -> list[FloatArray | V
         kinematics.forward(commands)
         return list(commands)
     except UnreachableError as error:
-        return (
-            [error] if len(commands) == 1 else [state for one in commands for state in _joined(kinematics, one[None])]
-        )
+        if len(commands) == 1:
+            return [error]
+        return [state for one in commands for state in _joined(kinematics, one[None])]
 
 
 def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> list[FloatArray | ValueError]:

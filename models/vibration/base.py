@@ -322,13 +322,10 @@ def to_control(
     turn = np.eye(3) if input == "carriage" else np.linalg.inv(jacobian)
     drives = plant.drive_states
     keep = np.arange(drives if not np.any(a[drives:, :drives]) else 0, len(a))
-    return control.StateSpace(
-        a[np.ix_(keep, keep)],
-        b[keep] @ turn,
-        rows[:, keep],
-        direct @ turn,
-        inputs=[f"cmd_{name}" for name in (channels if input == "carriage" else AXES)],
-        outputs=[f"{KINDS[output]}_{name}" for name in (channels if output == "carriage" else AXES)],
-        states=[plant.names[i] for i in keep],
-        name=f"{output}_per_{input}",
-    )
+    names = {
+        "inputs": [f"cmd_{name}" for name in (channels if input == "carriage" else AXES)],
+        "outputs": [f"{KINDS[output]}_{name}" for name in (channels if output == "carriage" else AXES)],
+        "states": [plant.names[i] for i in keep],
+    }
+    matrices = a[np.ix_(keep, keep)], b[keep] @ turn, rows[:, keep], direct @ turn
+    return control.StateSpace(*matrices, **names, name=f"{output}_per_{input}")

@@ -39,30 +39,16 @@ import numpy as np
 from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
+from models.vibration import substructures as sub
 from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
 from models.vibration.state_space import StateSpace
-from models.vibration.substructures import (
-    Carriage,
-    Drive,
-    Effector,
-    apparent_mass,
-    belt,
-    damping,
-    drive_frf,
-    impedance,
-    load_distribution,
-)
+from models.vibration.substructures import Carriage, Drive, Effector
 
 STATES = 18
 W, WD, Q, QD, ETA, ETAD = (slice(3 * i, 3 * i + 3) for i in range(6))
-NAMES = tuple(
-    f"{kind}_{letter}"
-    for kinds, letters in (
-        (("drive", "drive_rate", "pos", "vel"), "ABC"),
-        (("extruder", "extruder_rate"), "xyz"),
-    )
-    for kind in kinds
-    for letter in letters
+NAMES = (
+    *(f"{kind}_{letter}" for kind in ("drive", "drive_rate", "pos", "vel") for letter in "ABC"),
+    *(f"{kind}_{letter}" for kind in ("extruder", "extruder_rate") for letter in "xyz"),
 )
 
 CARRIAGE = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
@@ -158,7 +144,7 @@ class DeltaVibration(VibrationModel):
     def _load_map(self, j: FloatArray) -> FloatArray:
         if self.effector.force_map == "virtual_work":
             return j.transpose(0, 2, 1)
-        return np.einsum("nai,iab->nib", j, load_distribution(self.kinematics.tower_angles_rad, self.effector))
+        return np.einsum("nai,iab->nib", j, sub.load_distribution(self.kinematics.tower_angles_rad, self.effector))
 
     def arm_inertia(self, j: FloatArray) -> FloatArray:
         """Return ν Σ R_iᵀ R_i, the mass along the arms that the carriages do not feel; j and result (n, 3, 3), kg."""
@@ -169,7 +155,7 @@ class DeltaVibration(VibrationModel):
     def carriage_impedance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return Z without the effector, carriages and mass along the arms: (k, 3, 3) N/m at (2,) mm and s (k,) 1/s."""
         arms = self.arm_inertia(self.kinematics.jacobian(xy[None]))
-        return np.asarray(impedance(self.carriage, s)[:, None, None] * np.eye(3) - s[:, None, None] ** 2 * arms)
+        return np.asarray(sub.impedance(self.carriage, s)[:, None, None] * np.eye(3) - s[:, None, None] ** 2 * arms)
 
     def equations(self, xy: FloatArray) -> EquationsOfMotion:
         """Return M, C and K at positions (n, 2) mm."""
@@ -181,7 +167,7 @@ class DeltaVibration(VibrationModel):
         relative = np.broadcast_to(extruder * np.eye(3), j.shape)
         return EquationsOfMotion(
             np.block([[carriages, extruder * gamma], [extruder * j, relative]]),
-            np.concatenate([np.broadcast_to(damping(carriage), 3), effector.extruder_damping_n_s_per_m]),
+            np.concatenate([np.broadcast_to(sub.damping(carriage), 3), effector.extruder_damping_n_s_per_m]),
             np.concatenate([np.broadcast_to(carriage.belt_stiffness_n_per_m, 3), effector.extruder_stiffness_n_per_m]),
         )
 
@@ -201,12 +187,12 @@ class DeltaVibration(VibrationModel):
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return G of Eq. 29: Z⁻¹ (c s + k) G_e."""
         each = s[:, None]  # against carriages that may differ
-        drive = belt(self.carriage, each) * drive_frf(self.carriage.drive, each)
+        drive = sub.belt(self.carriage, each) * sub.drive_frf(self.carriage.drive, each)
         return np.asarray(self.receptance(xy, s) * drive[:, None, :])
 
     def effector_impedance(self, s: ComplexArray) -> ComplexArray:
         """Return the diagonal of W(s) (Eq. 61), (k, 3) N/m, columns X Y Z: nozzle position to force; s (k,) 1/s."""
-        return np.asarray(s[:, None] ** 2 * apparent_mass(self.effector, self.nozzle_side_mass_kg, s))
+        return np.asarray(s[:, None] ** 2 * sub.apparent_mass(self.effector, self.nozzle_side_mass_kg, s))
 
     def struck_frf(self, s: ComplexArray, with_arms: bool = False) -> ComplexArray:
         """Return acceleration over force of the nozzle holder, hanging free: (k, 3) 1/kg along X Y Z at s (k,) 1/s.
@@ -214,7 +200,7 @@ class DeltaVibration(VibrationModel):
         By default Eq. 45, the effector by itself; `with_arms` their lower halves ride along, and this is s²/W.
         """
         nozzle_side = self.nozzle_side_mass_kg if with_arms else self.effector.nozzle_mass_kg
-        return np.asarray(1 / apparent_mass(self.effector, nozzle_side, s))
+        return np.asarray(1 / sub.apparent_mass(self.effector, nozzle_side, s))
 
     def mechanics(self, xy: FloatArray) -> FloatArray:
         """Return d/dt of (q, η, q̇, η̇), (n, 12, 12)."""
@@ -268,14 +254,7 @@ class DeltaVibration(VibrationModel):
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return τ and C: Eq. 29 and Eq. 34 turned over and expanded at s = 0."""
         carriage = self.carriage
-        k, c, b = (
-            np.broadcast_to(number, 3)
-            for number in (
-                carriage.belt_stiffness_n_per_m,
-                carriage.belt_damping_n_s_per_m,
-                carriage.guide_damping_n_s_per_m,
-            )
-        )
+        k, c, b = (np.broadcast_to(getattr(carriage, key), 3) for key in CARRIAGE[1:])
         moving = self.equations(xy).mass[:, :3, :3] / k[:, None]
         first, second = carriage.drive.lag if carriage.drive else (0.0, 0.0)
         return b / k + first, np.asarray(moving + np.diag(second + b / k * first - b * c / k**2))
@@ -308,7 +287,7 @@ class DeltaVibration(VibrationModel):
             "belt_c": carriage.belt_damping_n_s_per_m,
             "guide_b": carriage.guide_damping_n_s_per_m,
             **(_drive_parameters(carriage.drive) if carriage.drive else {"ideal_drive": True}),
-            "shares": load_distribution(self.kinematics.tower_angles_rad, effector)
+            "shares": sub.load_distribution(self.kinematics.tower_angles_rad, effector)
             if paper
             else np.stack([np.eye(3)] * 3),
             "holder_mass": self.nozzle_side_mass_kg,

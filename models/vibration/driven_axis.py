@@ -139,11 +139,8 @@ class DrivenAxis(VibrationModel):
             return np.asarray(np.clip(command, -most, most) * (drive.force_constant_n_per_a or 1.0))
         if self.input in ("voltage", "duty"):
             supply = drive.supply_v if supply_v is None else supply_v
-            volts = (
-                command
-                if self.input == "voltage"
-                else np.clip(command, -1.0, 1.0) * (1.0 if supply is None else supply)
-            )
+            by_duty = self.input == "duty"
+            volts = np.clip(command, -1.0, 1.0) * (1.0 if supply is None else supply) if by_duty else command
             return np.asarray((volts if supply is None else np.clip(volts, -supply, supply)) * drive.force_per_volt)
         return command
 

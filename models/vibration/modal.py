@@ -89,12 +89,8 @@ class Oscillator:
         """Return the mode with one number replaced."""
         if kind == "frequency_hz":
             more = value / self.frequency_hz
-            return replace(
-                self,
-                stiffness=self.stiffness * more**2,
-                damping=self.damping * more,
-                belt_damping=self.belt_damping * more,
-            )
+            stiffness, damping, belts = self.stiffness * more**2, self.damping * more, self.belt_damping * more
+            return replace(self, stiffness=stiffness, damping=damping, belt_damping=belts)
         if kind == "damping_ratio":
             total = 2 * value * float(np.sqrt(self.stiffness * self.mass))
             belts = self.belt_damping if self.rigid else total * self.belt_share
@@ -202,7 +198,8 @@ class ModalAxes(VibrationModel):
     def guessed(self) -> Mapping[str, float]:
         """Return the entries of `tunable` missing from the file, with the relative standard deviation of the guess."""
         return {
-            f"axes.{AXES[axis]}.mount_frequency_hz": _apart(modes) / (4 * _middle(modes))
+            f"axes.{AXES[axis]}.mount_frequency_hz": abs(modes[1].frequency_hz - modes[0].frequency_hz)
+            / (4 * _middle(modes))
             for axis, modes in enumerate(self.axes)
             if self.mounts_hz[axis] is None and _is_chain(modes)
         }
@@ -339,11 +336,8 @@ class ModalAxes(VibrationModel):
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         tau, _ = self.low_frequency(np.zeros((1, 2)))
         u = q + tau * qd
-        states = [
-            (o.share * (u[axis] - o.damping / o.stiffness * qd[axis]), o.share * qd[axis])
-            for axis, _, o in self._each()
-        ]
-        return np.array(states).ravel()
+        each = ((o.share, u[a] - o.damping / o.stiffness * qd[a], qd[a]) for a, _, o in self._each())
+        return np.array([(share * place, share * rate) for share, place, rate in each]).ravel()
 
     # ---- the nonlinear printer
 
@@ -400,11 +394,6 @@ def _within(modes: Sequence[Oscillator], mount_hz: float | None) -> float | None
     low, high = sorted(o.frequency_hz for o in modes)
     edge = EDGE * (high - low)
     return float(np.clip(mount_hz, low + edge, high - edge))
-
-
-def _apart(modes: Sequence[Oscillator]) -> float:
-    """Return how far two modes are apart, Hz."""
-    return abs(modes[1].frequency_hz - modes[0].frequency_hz)
 
 
 def _with_forces(

@@ -43,10 +43,8 @@ class PlantTable:
     def frozen(self) -> PlantTable:
         """Return the table with the plant of the middle of the bed everywhere; the kinematics are unchanged."""
         middle, p = len(self.jacobian) // 2, self.plant
-        of_place = ("a", "b0", "b1", "b_centripetal")
-        same: dict[str, Any] = {
-            name: np.repeat(getattr(p, name)[middle : middle + 1], len(p.a), axis=0) for name in of_place
-        }
+        matrices = {name: getattr(p, name) for name in ("a", "b0", "b1", "b_centripetal")}
+        same: Any = {name: np.repeat(x[middle : middle + 1], len(p.a), axis=0) for name, x in matrices.items()}
         return replace(self, plant=replace(p, **same))
 
     def arrays(self) -> dict[str, FloatArray | IntArray]:

@@ -78,13 +78,5 @@ def discretise(plant: StateSpace, step_s: float) -> DiscretePlant:
         phi2, phi1, phi0 = 0.25 * (phi1 @ phi1 + 2.0 * phi2), 0.5 * (phi0 @ phi1 + phi1), phi0 @ phi0
     phi0, phi1, phi2 = (phi * (scale[:, None] / scale) for phi in (phi0, phi1, phi2))
     ramp = step_s * phi2 @ plant.b_command + phi1 @ plant.b_slope
-    return DiscretePlant(
-        step_s,
-        phi0,
-        step_s * phi1 @ plant.b_command - ramp,
-        ramp,
-        step_s * phi1 @ plant.b_centripetal,
-        plant.carriage,
-        plant.drive_states,
-        plant.oscillators,
-    )
+    inputs = step_s * phi1 @ plant.b_command - ramp, ramp, step_s * phi1 @ plant.b_centripetal
+    return DiscretePlant(step_s, phi0, *inputs, plant.carriage, plant.drive_states, plant.oscillators)
