@@ -14,7 +14,6 @@ from ffcomp.identification.axis_spectra import Spectrum
 from ffcomp.identification.from_resonances import Resonance
 from ffcomp.identification.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.capture import Capture
-from ffcomp.measurement.estimators import periodic_frf
 from ffcomp.measurement.faults import fault
 from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
@@ -22,16 +21,14 @@ from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import ModeFit, modes_in
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
-from ffcomp.measurement.vibration import kind_of, read_capture, read_vibrations
+from ffcomp.measurement.vibration import kind_of, read_vibrations
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.axes import STRAIGHT, turning
-from ffcomp.record.clock import ClockFit, every_clock, expectation, fit_clock, thinned
-from ffcomp.record.excitation import excited_coordinate
-from ffcomp.record.join import load_recordings
-from ffcomp.record.plan import Experiment, Plan
+from ffcomp.record.excitation import TOWERS, excited_coordinate
+from ffcomp.record.join import join_captures
+from ffcomp.record.plan import Excitation, Experiment, Plan
 from ffcomp.record.prints import plan_of
-from ffcomp.record.result import NO_ACCELERATIONS
-from models.arrays import FloatArray
+from ffcomp.record.result import Joined
 from models.machine import Machine
 
 _OURS = "ffcomp-"  # in the names that our plans give to captures
@@ -114,27 +111,18 @@ def gather(
         recordings = []
     for position, members in _by_position(recordings, machine, gathered.skipped).items():
         gathered.responses += frfs_from_recordings(members, *band_hz, position_mm=position)
-    gathered.responses = [r for r in gathered.responses if len(r.frequency_hz)]
     if plan is not None and captures:
-        gathered.responses += _of_plan(captures, plan, machine, band_hz, axes, progress)
+        moves = plan_of(plan, machine)
+        periodic = any(each.excitation is not None for each in moves.experiments)  # which does not show the axes' signs
+        turn = turning(axes) if periodic or tuple(axes) != STRAIGHT else None
+        joined = join_captures(captures, moves, machine, turn, progress).with_accelerations
+        joined.check()
+        gathered.skipped += [f"{Path(each.file).name} is left out: {each.why}" for each in joined.refused]
+        for sentence in joined.notes(moves, machine):
+            progress(sentence)
+        gathered.responses += responses_of(joined.joined, moves, machine, band_hz)
+    gathered.responses = [r for r in gathered.responses if len(r.frequency_hz)]
     return gathered
-
-
-def _of_plan(
-    captures: Sequence[Path],
-    plan_file: str | Path,
-    machine: Machine,
-    band_hz: tuple[float, float],
-    axes: Sequence[str],
-    progress: Callable[[str], None],
-) -> list[FrequencyResponse]:
-    """Estimate the responses that captures of a plan show."""
-    plan = plan_of(plan_file, machine)
-    if all(each.excitation is not None for each in plan.experiments):
-        responses = [r.between(*band_hz) for r in frfs_from_captures(plan, captures, machine, axes)]
-        return [r for r in responses if len(r.frequency_hz)]
-    turn = None if tuple(axes) == STRAIGHT else turning(axes)
-    return responses_of(load_recordings(captures, machine, plan_file, turn, progress), plan, band_hz)
 
 
 def _with_axes(tests: Sequence[TestFile], stated: list[str], skipped: list[str]) -> list[tuple[TestFile, str | None]]:
@@ -230,124 +218,68 @@ def resonances_of(spectra: Sequence[ModeFit]) -> tuple[list[Resonance], list[str
 
 # ---- captures of a plan --------------------------------------------------------------------------
 #
-# A capture holds neither the start of the motion nor the command; the plan's file holds the command exactly. The
-# capture is aligned below 20 Hz with the simulated acceleration of the starting machine, brought onto the command's
-# clock, and analysed over the plan's whole periods. The remaining error of the start is a delay that is fitted with the
-# parameters (`FrequencyResponse.clock`): resonances separate a drive's own delay from a capture's, not
-# alignment.
+# A capture's start is known to a fraction of a millisecond. The rest is a delay that is fitted with the parameters
+# (`FrequencyResponse.clock`): resonances separate a drive's own delay from a capture's, not alignment.
 
 
 RATE_HZ = 3200.0
-LEAD_S = 0.2  # simulated at rest before the motion
-CLEAR_CORRELATION = 0.4  # of what a rough machine file expects
-BAND_HZ = (5.0, 150.0)  # that such motions excite
+BAND_HZ = (5.0, 150.0)  # that moves excite
 HALF_WIDTH_HZ = 2.0  # zigzags and loops have a few lines in a hertz only
 VARIANCE_FACTOR = 4.0  # polynomials of such wide windows err by twice the noise, measured on simulated captures
 MOST_NOISE = 0.15  # of a response's values: beyond it, as across the axes at the centre, it is not used
 COMMANDS = ("cmd_x", "cmd_y")  # z moves too little
 
 
-def frfs_from_captures(
-    plan: Plan, paths: Sequence[str | Path], machine: Machine, axes: Sequence[str] = STRAIGHT
+def responses_of(
+    joined: Sequence[Joined], plan: Plan, machine: Machine, band_hz: tuple[float, float]
 ) -> list[FrequencyResponse]:
-    """Estimate three responses a capture: the excited command to the nozzle's acceleration along x, y, z.
-
-    Parameters
-    ----------
-    paths : one capture each; its name holds the name of its experiment.
-    machine : to simulate the expected capture; a rough one serves.
-    axes : the printer's x, y and z in the sensor's own axes, such as ("x", "-z", "y").
-
-    Raises
-    ------
-    MeasurementError
-        If a capture belongs to no experiment of the plan, or does not show its motion.
-    """
-    turn = turning(axes)
-    return [r for path in paths for r in _responses(_experiment_of(plan, path), read_capture(path), machine, turn)]
-
-
-def _experiment_of(plan: Plan, path: str | Path) -> Experiment:
-    stem = Path(path).stem
-    for experiment in plan.experiments:
-        if stem.endswith(experiment.name) or f"{experiment.name}_" in stem or f"{experiment.name}-" in f"{stem}-":
-            return experiment
-    names = ", ".join(e.name for e in plan.experiments)
-    raise MeasurementError(str(path), [f"Its name holds none of the plan's experiments: {names}."])
-
-
-def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn: FloatArray) -> list[FrequencyResponse]:
-    excitation = experiment.excitation
-    if excitation is None:
-        raise MeasurementError(capture.source, [f"{experiment.name} is no periodic excitation."])
-    measured = capture.acceleration @ turn.T
-    clock = _clock(experiment, capture, measured, machine)
-    samples = round(excitation.band.period_s * RATE_HZ)
-    when = experiment.measured_from_s + np.arange(samples * excitation.periods) / RATE_HZ
-    capture_time = capture.time_s[0] + (when - clock.offset_s) / clock.ratio
-    if capture_time[0] < capture.time_s[0] or capture_time[-1] > capture.time_s[-1]:
-        rule = f"It covers {capture.time_s[-1] - capture.time_s[0]:.1f} s, not all of the motion to be measured."
-        raise MeasurementError(capture.source, [f"{rule} Start capturing before the motion, stop after it."])
-    y = CubicSpline(capture.time_s, measured)(capture_time)
-    moved = excited_coordinate(machine.kinematics, excitation.direction, experiment.motion, when)
-    matrix = periodic_frf(((moved - moved.mean()) * 1e-3)[:, None], y, RATE_HZ, samples, transient_periods=0)
-    return matrix.responses(
-        [f"cmd_{excitation.direction}"],
-        [f"acc_{axis}" for axis in STRAIGHT],
-        (excitation.band.lowest_hz, excitation.band.highest_hz),
-        position_mm=experiment.position_mm,
-        source=Path(capture.source).name,
-        clock=experiment.name,
-    )
-
-
-def _clock(experiment: Experiment, capture: Capture, measured: FloatArray, machine: Machine) -> ClockFit:
-    """Fit the capture's clock; the motion repeats, but its marker does not."""
-    if not np.ptp(measured, axis=0).any():
-        raise MeasurementError(capture.source, ["Nothing moves, so nothing can be aligned."])
-    expected = expectation(experiment.motion, machine, LEAD_S, with_signatures=False)
-    since, record = thinned(capture.time_s, measured)
-    matches = every_clock(since, record, expected, known_axes=True)
-    start = matches.starts[int(np.abs(matches.correlation).sum(axis=(1, 2)).argmax())]
-    clock = fit_clock(since, record, expected, start, free_ratio=True)
-    if clock.correlation < CLEAR_CORRELATION:
-        raise MeasurementError(
-            capture.source,
-            [
-                f"The record does not match the expected motion (correlation {clock.correlation:.2f} below 20 Hz; at "
-                f"least {CLEAR_CORRELATION:g} is a match): is it of another motion, are its axes turned, or is its "
-                "rate wrong?"
-            ],
-        )
-    return clock
-
-
-# The rest is of moves that are no periodic excitation
-
-
-def responses_of(recordings: Sequence[Recording], plan: Plan, band_hz: tuple[float, float]) -> list[FrequencyResponse]:
-    """Estimate the responses to x and y at each place of a plan, from all its experiments there together.
-
-    Raises
-    ------
-    MeasurementError
-        For a log of a motor.
-    """
-    for recording in recordings:
-        if not recording.acceleration:
-            raise MeasurementError(recording.comments["capture"], [NO_ACCELERATIONS])
+    """Estimate the responses of each periodic experiment, and to x and y from all moves at a place together."""
     experiments = {each.name: each for each in plan.experiments}
-    places: dict[int, list[Recording]] = {}
-    for recording in recordings:
-        places.setdefault(experiments[recording.comments["experiment"]].place, []).append(recording)
+    excitations = {each.name: each.excitation for each in plan.experiments if each.excitation is not None}
+    periodic, places = dict[str, list[Recording]](), dict[int, list[Recording]]()
+    for each in joined:
+        experiment = experiments[each.experiment]
+        if each.experiment in excitations:
+            cut = _whole_periods(each, experiment, excitations[each.experiment], machine)
+            periodic.setdefault(each.experiment, []).append(cut)
+        else:
+            places.setdefault(experiment.place, []).append(each.recording)
     responses = []
+    for name, members in periodic.items():
+        found = frfs_from_recordings(members, *band_hz, position_mm=experiments[name].position_mm)
+        band = excitations[name].band
+        responses += [replace(r.between(band.lowest_hz, band.highest_hz), clock=name) for r in found]
     for place, members in sorted(places.items()):
-        x, y, z = map(float, experiments[members[0].comments["experiment"]].position_mm)
-        responses += _of_place(members, place, (x, y, z), (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
+        at = next(each.position_mm for each in plan.experiments if each.place == place)
+        responses += _of_moves(members, place, at, (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
     return responses
 
 
-def _of_place(
+def _whole_periods(joined: Joined, experiment: Experiment, excited: Excitation, machine: Machine) -> Recording:
+    """Cut out the whole periods, and one before them, which the estimator leaves out; only one coordinate moves."""
+    recording, carriage = joined.recording, excited.direction in TOWERS
+    if recording.gaps.any():
+        raise MeasurementError(joined.source, ["Rows are missing in its motion. Record it again."])
+    samples = round(excited.band.period_s * RATE_HZ)
+    since = np.arange(-samples, samples * excited.periods) / RATE_HZ
+    when = experiment.measured_from_s + since
+    at = np.clip(when - joined.begin_s, 0.0, recording.time_s[-1])
+    command = np.zeros((len(when), 3))
+    column = (TOWERS if carriage else STRAIGHT).index(excited.direction)
+    command[:, column] = excited_coordinate(machine.kinematics, excited.direction, experiment.motion, when)
+    return replace(
+        recording,
+        source=joined.source,
+        time_s=since - since[0],
+        command=command,
+        command_space="carriage" if carriage else "nozzle",
+        acceleration={name: CubicSpline(recording.time_s, x)(at) for name, x in recording.acceleration.items()},
+        gaps=np.zeros(len(when), dtype=bool),
+        comments={"period_s": str(excited.band.period_s)},
+    )
+
+
+def _of_moves(
     members: Sequence[Recording], place: int, position: tuple[float, float, float], band_hz: tuple[float, float]
 ) -> list[FrequencyResponse]:
     """Estimate the responses at one place; a capture's start is known to a fraction of a millisecond: one clock."""

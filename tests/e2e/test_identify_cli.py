@@ -8,23 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from ffcomp.cli.app import app
 from ffcomp.identification.output_error import TOTAL_MASS, fit_machine
 from ffcomp.identification.predict import error_reduction, mean_absolute_percentage_accuracy, predicted
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.record.plan import load_plan
+from ffcomp.record.plan import load_plan, run_name
 from models.file import LIBRARY, load_machine
 from models.machine import value_of, with_values
 from tests.support.cli import CliRunner, Result
 from tests.support.identification import measured, towers_bench
 from validation.plants import delta_plant
+from validation.plants.accelerometer import draw_chip, klipper_capture, nozzle_felt
 from validation.plants.study import PLACES, measure_bench, measure_places, uneven
 
 TRUTH_FILE = LIBRARY / "mp-delta-pro.toml"
 TRUTH = load_machine(TRUTH_FILE)
-STEP_S = 1 / 12800
 
 
 def call(*arguments: object) -> Result:
@@ -37,24 +36,6 @@ def good(*arguments: object) -> Any:
     return json.loads(answer.stdout)
 
 
-def capture(folder: Path, experiment: Any, rng: np.random.Generator) -> Path:
-    """What an ADXL345 on the nozzle holder of an independent printer writes: late, clock off, noisy, with weight."""
-    lead, after = 0.7, 1.2
-    count = 2 * int((lead + experiment.duration_s + after) / STEP_S) + 1
-    t = np.arange(count) * STEP_S / 2 - lead
-    command = TRUTH.kinematics.inverse(experiment.motion.nozzle(np.clip(t, 0.0, experiment.duration_s)))
-    felt = delta_plant.simulate(delta_plant.load_machine(TRUTH_FILE), command, STEP_S, gravity=True, keep_every=4)
-    t = felt["t"] - lead
-    own = np.arange(rng.uniform(-0.6, -0.2), t[-1] - 0.1, 1 / 3200)
-    a = CubicSpline(t, felt["nozzle_acc_m_per_s2"])(own) + np.array([0.0, 0.0, 9.81])
-    a = 0.0382 * np.round((a + rng.normal(0, 0.15, a.shape)) / 0.0382)
-    clock = 777.0 + (own - own[0]) * (1 + rng.uniform(-0.01, 0.01))
-    path = folder / f"raw_data_{experiment.name}.csv"
-    rows = np.column_stack([clock, 1e3 * a])
-    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header="#time,accel_x,accel_y,accel_z", comments="")
-    return path
-
-
 def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
     plan = tmp_path / "excite.gcode"
     arguments = ("--period-s", 2, "--periods", 3, "--lowest-hz", 10)
@@ -62,7 +43,13 @@ def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, [*map(str, verb)]).exit_code == 0
     account = load_plan(tmp_path / "excite.json")
     rng = np.random.default_rng(4)
-    files = [capture(tmp_path, experiment, rng) for experiment in account.experiments]
+    chip, files = draw_chip(rng, np.eye(3)), list[Path]()
+    for each in account.experiments:
+        end = each.duration_s + account.rest_after_s
+        felt = nozzle_felt(delta_plant.load_machine(TRUTH_FILE), each.motion.nozzle, -1.5, end + 0.5)
+        files.append(tmp_path / f"adxl345-{run_name(each.name, 1)}.csv")
+        text = klipper_capture(felt, chip, -account.rest_before_s, end, 777.0, rng)
+        files[-1].write_text(text, encoding="utf-8")
 
     start = tmp_path / "start.toml"  # every vibration number wrong, as a user's first file is
     wrong = {
