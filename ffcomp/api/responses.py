@@ -94,8 +94,7 @@ def study_responses(request: FrfRequest) -> Study:
         frequencies = np.atleast_1d(_numbers("frequency_hz", request.frequency_hz))
         if frequencies.ndim != 1 or not frequencies.size or frequencies.min() <= 0.0:
             raise RequestError("frequency_hz is a list of frequencies above 0 Hz, (k,).")
-    masses = list(request.added_mass_kg)
-    return study(machine, view, frequencies, list(positions), measured, masses, request.with_arms)
+    return study(machine, view, frequencies, list(positions), measured)
 
 
 def _places(positions_mm: Any) -> FloatArray:
@@ -128,10 +127,6 @@ def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyRes
         view = View(output, per or ("nozzle" if output in ("nozzle", "acceleration") else "carriage"))
     if per is not None and not view.depends_on_place:
         raise RequestError(f"--per {per}: --of {view.of} is no response of the whole printer.")
-    if request.added_mass_kg and view.of != "carriage-alone":
-        raise RequestError(f"--added-mass-kg goes on a bare carriage: --of carriage-alone, not {view.of}.")
-    if request.with_arms and view.of != "effector-alone":
-        raise RequestError(f"--with-arms is for the effector by itself: --of effector-alone, not {view.of}.")
     return view
 
 

@@ -164,10 +164,8 @@ def study(
     frequency_hz: FloatArray,
     places: Sequence[FloatArray],
     measured: Sequence[FrequencyResponse] = (),
-    added_masses_kg: Sequence[float] = (),
-    with_arms: bool = False,
 ) -> Study:
-    """Evaluate a view at every requested and every measured position (or with every mass)."""
+    """Evaluate a view at every requested and every measured position (or with every measured mass)."""
     if not machine.vibration.position_dependent:
         _straight_view(view)
         centre = machine.kinematics.centre_mm
@@ -176,8 +174,8 @@ def study(
     left_out = tuple(_left_out(view, response) for response in measured if _pair(view, response) is None)
     for response, _ in fitting:
         _within_reach(machine, response)
-    cases = _cases(view, places, [response for response, _ in fitting], added_masses_kg)
-    model = _Model(machine, view, frequency_hz, with_arms)
+    cases = _cases(view, places, [response for response, _ in fitting])
+    model = _Model(machine, view, frequency_hz)
     stations = []
     for xy, mass in cases:
         here = [(r, pair) for r, pair in fitting if _belongs(view, r, xy, mass)]
@@ -250,11 +248,11 @@ def _loudest(study: Study, station: Station, pair: Pair) -> tuple[float, float, 
 
 
 def _cases(
-    view: View, places: Sequence[FloatArray], measured: Sequence[FrequencyResponse], masses: Sequence[float]
+    view: View, places: Sequence[FloatArray], measured: Sequence[FrequencyResponse]
 ) -> list[tuple[FloatArray, float]]:
     """List (position, added mass), without repeats."""
     if not view.depends_on_place:
-        alone = {round(mass, 6) for mass in [*masses, *(r.added_mass_kg for r in measured)]}
+        alone = {round(r.added_mass_kg, 6) for r in measured}
         return [(np.zeros(2), mass) for mass in sorted(alone or {0.0})]
     wanted = [*places, *(_place(r) for r in measured)]
     distinct: list[FloatArray] = []
@@ -329,7 +327,6 @@ class _Model:
     machine: Machine
     view: View
     frequency_hz: FloatArray  # (k,)
-    with_arms: bool
 
     def station(self, xy: FloatArray, mass: float, compared: tuple[Compared, ...]) -> Station:
         """Evaluate the model at one position, or with one mass."""
@@ -352,9 +349,8 @@ class _Model:
         return label, value, _carriage_mode(self.machine, mass)
 
     def _effector(self, _: FloatArray, __: float) -> _Case:
-        value = delta_vibration(self.machine).struck_frf(self._s, self.with_arms)[:, :, None] * np.eye(3)
-        label = "with the arms' lower halves" if self.with_arms else "by itself"
-        return label, value, _effector_modes(self.machine, self.with_arms)
+        value = delta_vibration(self.machine).struck_frf(self._s)[:, :, None] * np.eye(3)
+        return "by itself", value, _effector_modes(self.machine)
 
     @property
     def _s(self) -> ComplexArray:
@@ -400,11 +396,10 @@ def _carriage_mode(machine: Machine, mass: float) -> tuple[NumberedMode, ...]:
     return (NumberedMode(1, float(np.sqrt(k / m) / (2 * np.pi)), float(zeta), "on its belt"), *_drive_mode(machine))
 
 
-def _effector_modes(machine: Machine, with_arms: bool) -> tuple[NumberedMode, ...]:
+def _effector_modes(machine: Machine) -> tuple[NumberedMode, ...]:
     """Return ω_p of Eq. 48 along each axis, ζ = b ω_p/(2 k), slowest first."""
     effector = delta_vibration(machine).effector
-    m1 = delta_vibration(machine).nozzle_side_mass_kg if with_arms else effector.nozzle_mass_kg
-    m2, k = effector.extruder_mass_kg, effector.extruder_stiffness_n_per_m
+    m1, m2, k = effector.nozzle_mass_kg, effector.extruder_mass_kg, effector.extruder_stiffness_n_per_m
     omega = np.sqrt((m1 + m2) * k / (m1 * m2))
     zeta = effector.extruder_damping_n_s_per_m * omega / (2 * k)
     modes = sorted(zip((omega / (2 * np.pi)).tolist(), zeta.tolist(), AXES, strict=True))

@@ -25,6 +25,7 @@ DATA = (
     "Frequency responses (CSV, UFF 58), recordings (CSV), captures of a plan, or Klipper's resonances_*.csv and "
     "raw_data_*.csv."
 )
+NEW_NAME = Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
 Data = Annotated[tuple[Path, ...], Argument(DATA, metavar="DATA...")]
 if TYPE_CHECKING:
     Files = Sequence[str | Path] | str | Path
@@ -74,9 +75,7 @@ class IdentifyRequest(Request):
             metavar="NAME",
         ),
     ] = "direct"
-    name: Annotated[
-        str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
-    ] = None
+    name: Annotated[str | None, NEW_NAME] = None
     lowest_hz: Annotated[float, LOWEST_FITTED] = 2.0
     highest_hz: Annotated[float, HIGHEST_FITTED] = 400.0
     axes_map: Annotated[
@@ -142,9 +141,7 @@ class ScanRequest(Request):
     ]
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[Path | None, MACHINE_FILE] = None
-    name: Annotated[
-        str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
-    ] = None
+    name: Annotated[str | None, NEW_NAME] = None
     figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False
 
@@ -171,9 +168,7 @@ class RingingRequest(Request):
         Option("Frequency along y.", MACHINE, "--y-hz", metavar="HZ", low=3.0, high=200.0, label="Ringing along y, Hz"),
     ] = None
     output: Annotated[Path, MACHINE_FILE]
-    name: Annotated[
-        str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
-    ] = None
+    name: Annotated[str | None, NEW_NAME] = None
     force: Annotated[bool, FORCE] = False
 
     def check(self) -> None:
@@ -289,10 +284,6 @@ class FrfRequest(Request):
         tuple[Path, ...],
         Option("Measured responses (CSV, UFF) to compare with. May be repeated.", MACHINE, metavar="FILE"),
     ] = ()
-    added_mass_kg: Annotated[
-        tuple[float, ...], Option("Mass added to --of carriage-alone. May be repeated.", MACHINE, metavar="KG", low=0.0)
-    ] = ()
-    with_arms: Annotated[bool, Option("Add the lower halves of the arms to --of effector-alone.", MACHINE)] = False
     lowest_hz: Annotated[
         float | None, Option("Lowest frequency. Default: one step.", ADVANCED, metavar="HZ", low=0.0)
     ] = None
