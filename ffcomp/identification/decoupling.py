@@ -28,20 +28,11 @@ from models.vibration.substructures import belt, drive_frf
 
 @dataclass(frozen=True, eq=False)
 class Decoupled:
-    """The load on the carriages at one place, measured and by the machine file, N/m."""
+    """The effector's impedance at one place, measured and by the machine file, N/m."""
 
-    frequency_hz: FloatArray  # (k,)
-    xy: FloatArray  # (2,) mm
-    load: ComplexArray  # (k, 3, 3), rows force on A B C, columns motion of A B C
+    w: ComplexArray  # (k, 3, 3) J⁻ᵀ (ΓWJ) J⁻¹, rows force, columns motion X Y Z
     variance: FloatArray  # (k, 3, 3), E|δ|²
     model: ComplexArray  # (k, 3, 3)
-    j: FloatArray  # (3, 3)
-
-    def effector(self) -> tuple[ComplexArray, FloatArray]:
-        """Return W as measured, J⁻ᵀ (ΓWJ) J⁻¹ : (k, 3, 3) N/m, rows force, columns motion X Y Z; and its variance."""
-        back = np.linalg.inv(self.j)
-        w = np.einsum("ai,kab,bj->kij", back, self.load, back)
-        return w, np.einsum("ai,kab,bj->kij", back**2, self.variance, back**2)
 
 
 def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoupled:
@@ -62,7 +53,9 @@ def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoup
     spread = np.abs(drive[:, None, None]) ** 2 * np.einsum("kia,kab,kbj->kij", size, variance, size)
     j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]
     model = (gamma * delta_vibration(machine).effector_impedance(s)[:, None, :]) @ j
-    return Decoupled(first.frequency_hz, xy, drive[:, None, None] * inverse - carriage, spread, model, j)
+    load, back = drive[:, None, None] * inverse - carriage, np.linalg.inv(j)
+    w, of_model = (np.einsum("ai,kab,bj->kij", back, each, back) for each in (load, model))
+    return Decoupled(w, np.einsum("ai,kab,bj->kij", back**2, spread, back**2), of_model)
 
 
 def _square(responses: Sequence[FrequencyResponse]) -> tuple[ComplexArray, FloatArray, FrequencyResponse]:
@@ -105,9 +98,7 @@ class Part:
 
 def evaluate_parts(decoupled: Decoupled) -> list[Part]:
     """Evaluate symmetry (energy), directions (geometry and force map), and each axis of W (masses and mount)."""
-    w, variance = decoupled.effector()
-    back = np.linalg.inv(decoupled.j)
-    model = np.einsum("ai,kab,bj->kij", back, decoupled.model, back)
+    w, variance, model = decoupled.w, decoupled.variance, decoupled.model
     size = np.einsum("kii->k", np.abs(w)) / 3
     odd = (w - w.transpose(0, 2, 1)) / 2
     off = ~np.eye(3, dtype=bool)

@@ -17,7 +17,7 @@ from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import AXES
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import HIGHEST_HZ, fitted_band, segment_powers
-from ffcomp.measurement.swept import SweptBand, swept_band, swept_band_of_spectrum
+from ffcomp.measurement.swept import swept_band, swept_band_of_spectrum
 from ffcomp.measurement.vibration import read_vibration
 from models.arrays import FloatArray
 
@@ -104,12 +104,7 @@ def read_test(
     except ValueError:
         return f"{name}: {axis!r} is no axis; it is x, y, z or a direction as 1,-1."
     if direction is None:
-        return axis_spectrum(test, axis, band_hz, column)
-    return belt_test(test, direction, band_hz)
-
-
-def belt_test(test: TestFile, direction: FloatArray, band_hz: tuple[float, float]) -> BeltTest | str:
-    """Read a test along a direction of x and y, or return a sentence that says why it is of no use."""
+        return _cut(test, axis, *_powers(test, axis, column), band_hz)
     if isinstance(test, Resonances):
         (frequency, power), averages = test.total, USUAL_AVERAGES
     else:
@@ -118,25 +113,7 @@ def belt_test(test: TestFile, direction: FloatArray, band_hz: tuple[float, float
     spectrum = _cut(test, "", frequency, {"all": power}, averages, band_hz)
     if isinstance(spectrum, str):
         return spectrum
-    place = test.position_mm
-    return BeltTest(spectrum, direction, None if place is None else place[:2])
-
-
-def axis_spectrum(test: TestFile, axis: str, band_hz: tuple[float, float], column: str | None = None) -> Spectrum | str:
-    """Read the spectrum of a test along x, y or z, or return a sentence that says why it is of no use here.
-
-    Parameters
-    ----------
-    axis : the excited axis
-    column : the spectrum to be taken, of a file with several
-
-    Raises
-    ------
-    MeasurementError
-        If there are several spectra and no rule selects one.
-    """
-    frequency, powers, averages = _powers(test, axis, column)
-    return _cut(test, axis, frequency, powers, averages, band_hz)
+    return BeltTest(spectrum, direction, None if test.position_mm is None else test.position_mm[:2])
 
 
 def _powers(test: TestFile, axis: str, column: str | None) -> tuple[FloatArray, dict[str, FloatArray], int]:
@@ -162,7 +139,7 @@ def _cut(
 ) -> Spectrum | str:
     """Cut the excited band out; axis "": there is one power, of all axes."""
     name = file_and_name(test)
-    swept = swept_in(test)
+    swept = swept_band(test) if isinstance(test, Capture) else swept_band_of_spectrum(*test.total)
     lowest, highest = fitted_band(frequency, swept)
     low, high = max(lowest, band_hz[0]), min(highest, band_hz[1])
     inside = (frequency >= low) & (frequency <= high)
@@ -180,11 +157,6 @@ def _cut(
     even = np.linspace(kept[0], kept[-1], len(kept))  # files round
     short = swept if swept is not None and swept.high_hz < HIGHEST_HZ else None
     return Spectrum(name, axis, even, power[power > 0], averages, remark, short)
-
-
-def swept_in(test: TestFile) -> SweptBand | None:
-    """Find the swept band of a capture or of a test's spectra."""
-    return swept_band(test) if isinstance(test, Capture) else swept_band_of_spectrum(*test.total)
 
 
 def file_and_name(test: TestFile) -> str:
