@@ -142,7 +142,6 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
     gap = result.gap
     named = result.effects if result.verdict == "effects" else {}
     most = None if result.rest is None else {**_effect_json(result, result.named[0]), **to_json(result.rest)}
-    refused = {"effects": list(result.effects), "because": list(result.rejections)}
     return {
         "schema": "ffcomp-diagnose/1",
         "verdict": result.verdict,
@@ -152,7 +151,7 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "dominant": most,
         "residual_curves": to_json(result.curves),
         "undetermined": list(result.undetermined),
-        "refused": refused if result.rejections else None,
+        "refused": {"effects": [*result.effects], "because": [*result.rejections]} if result.rejections else None,
         "invisible": list(result.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
         "separate": to_json(result.separations),
