@@ -12,7 +12,7 @@ import numpy as np
 
 from ffcomp.errors import RequestError
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
-from ffcomp.identification.machine_fit import MachineFit, hash_of, number_facts
+from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
 from ffcomp.identification.uncertainty import Estimate, Joint
 from ffcomp.inference.fit import Settings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
@@ -20,7 +20,6 @@ from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.stages import Stage
 from ffcomp.result import Fact
 from models.arrays import FloatArray
-from models.file import updated_text
 from models.kinds import driven_axis
 from models.machine import Machine, value_of, with_values
 
@@ -94,13 +93,14 @@ def fit_axis(
     progress(Stage(2, f"fitting {start.name} to {len(runs)} runs"))
     result = fitted_axis(start, runs, known)
     hashes = [hash_of(path) for path in data]
+    origin = Origin(Path(start.path), name, hashes, date.today().isoformat())
     weak = [key for key, e in result.estimates.items() if e.relative_sd > WEAK and key != OFFSET]
     kept = kept_of(start, known)
     return OneAxisFit(
         start=start,
         data=hashes,
         name=name,
-        text=_text(start, result, name, hashes),
+        text=origin.text_of(result.estimates, "fit", nrms=result.after) if start.path else "",
         advice=[
             *result.doubt,
             *(f"{key} is known to ±{100 * result.estimates[key].relative_sd:.0f} % only." for key in weak),
@@ -188,15 +188,3 @@ def _sizes(shots: Sequence[Shots]) -> dict[str, float]:
     names = {name for one in shots for name in one.run.signals}
     squares = {n: [np.nanmean(one.forced_motion(n) ** 2) for one in shots if n in one.run.signals] for n in names}
     return {name: max(float(np.sqrt(np.mean(x))), 1e-12) for name, x in squares.items()}
-
-
-def _text(start: Machine, result: AxisFitted, name: str, hashes: Sequence[str]) -> str:
-    """Return the new machine file's text."""
-    if not start.path:
-        return ""
-    values = {key: float(f"{e.value:.6g}") for key, e in result.estimates.items()}
-    sds = {key: float(f"{e.relative_sd:.3g}") for key, e in result.estimates.items() if key != OFFSET}
-    entry = {"date": date.today().isoformat(), "started_from": Path(start.path).stem, "data": list(hashes)}
-    return updated_text(
-        Path(start.path), values, name=name, uncertainty=sds, provenance={"identified": entry | {"nrms": result.after}}
-    )
