@@ -24,7 +24,6 @@ from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
 from ffcomp.inference.fit import FitResult, Settings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.modal import WindowedPower, single_modes
-from ffcomp.numerics.least_squares import central_differences
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -229,15 +228,12 @@ def _check_resonance(problem: _Problem, frequency: float, damping: float, errors
 
 
 def _relative(problem: _Problem, theta: FloatArray, covariance: FloatArray, number: int) -> Estimate:
-    """Compare one stiffness with the mean of the others."""
-
-    def against(at: FloatArray) -> FloatArray:
-        k = np.log(problem.stiffness(at))
-        return np.array([k[number] - np.delete(k, number).mean()])
-
-    slope = central_differences(against, theta, np.full(len(theta), STEP))[0]
-    sd = float(np.sqrt(slope @ covariance @ slope + REPEATABLE_SD**2))
-    return normal(float(np.expm1(against(theta)[0])), sd)
+    """Compare one stiffness with the mean of the others: its logarithm is linear in the unknown ones."""
+    free, others = slice(4, problem.shared), len(problem.rows) - 1
+    each = np.vstack([np.eye(others), -np.ones(others)])  # ln stiffness by the unknowns
+    slope = each[number] - np.delete(each, number, axis=0).mean(axis=0)
+    sd = float(np.sqrt(slope @ covariance[free, free] @ slope + REPEATABLE_SD**2))
+    return normal(float(np.expm1(slope @ theta[free])), sd)
 
 
 def _sentence(problem: _Problem, stiffness: Sequence[Estimate]) -> str:
