@@ -37,11 +37,7 @@ from ffcomp.identification.axis_spectra import Spectrum
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
 from ffcomp.identification.paper import identify_as_paper
-from ffcomp.identification.predict import (
-    error_reduction,
-    mean_absolute_percentage_accuracy,
-    predicted,
-)
+from ffcomp.identification.predict import mean_absolute_percentage_accuracy, predicted
 from ffcomp.identification.resonance_tests import spectrum_of
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import FrequencyResponse
@@ -57,7 +53,7 @@ from models.vibration.modal import Axis, ModalAxes
 from models.vibration.substructures import Drive
 from studies.render import DATA, save
 from validation.plants import delta_plant
-from validation.plants.study import PLACES, measure_bench, measure_places, uneven
+from validation.plants.study import PLACES, error_reduction, measure_bench, measure_places, uneven
 
 FloatArray = NDArray[np.float64]
 

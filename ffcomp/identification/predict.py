@@ -141,20 +141,13 @@ def mean_absolute_percentage_accuracy(
     measured, predicted : (k,) at the same frequencies, rising; measured nowhere zero.
     smallest_phase_deg : 0 is Eq. 71 verbatim.
     """
-    magnitude, phase = _errors(measured, predicted, smallest_phase_deg)
-    return 100.0 - magnitude, 100.0 - phase
-
-
-def error_reduction(
-    measured: ComplexArray,
-    predicted: ComplexArray,
-    baseline: ComplexArray,
-    smallest_phase_deg: float = SMALLEST_PHASE_DEG,
-) -> tuple[float, float]:
-    """Compute how much smaller the error is than that of a baseline model, of magnitude and of phase, % (Eq. 72)."""
-    ours = _errors(measured, predicted, smallest_phase_deg)
-    theirs = _errors(measured, baseline, smallest_phase_deg)
-    return 100 * (1 - ours[0] / theirs[0]), 100 * (1 - ours[1] / theirs[1])
+    magnitude = np.abs(measured)
+    ours, theirs = phases_deg(measured, predicted)
+    relative_to = np.maximum(np.abs(ours), smallest_phase_deg)
+    return (
+        float(100.0 - 100 * np.mean(np.abs(magnitude - np.abs(predicted)) / magnitude)),
+        float(100.0 - 100 * np.mean(np.abs(ours - theirs) / relative_to)),
+    )
 
 
 def log_error_db(measured: ComplexArray, predicted: ComplexArray) -> float:
@@ -166,14 +159,3 @@ def phases_deg(measured: ComplexArray, predicted: ComplexArray) -> tuple[FloatAr
     """Return both phases on one branch, (k,) degrees: the prediction unwrapped, the measured one nearest to it."""
     reference = np.unwrap(np.angle(predicted))
     return np.degrees(reference + np.angle(measured / predicted)), np.degrees(reference)
-
-
-def _errors(measured: ComplexArray, predicted: ComplexArray, smallest_phase_deg: float) -> tuple[float, float]:
-    """Compute the mean absolute percentage error μ_err of magnitude and of phase."""
-    magnitude = np.abs(measured)
-    ours, theirs = phases_deg(measured, predicted)
-    relative_to = np.maximum(np.abs(ours), smallest_phase_deg)
-    return (
-        float(100 * np.mean(np.abs(magnitude - np.abs(predicted)) / magnitude)),
-        float(100 * np.mean(np.abs(ours - theirs) / relative_to)),
-    )

@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.identification.output_error import TOTAL_MASS, fit_machine
-from ffcomp.identification.predict import error_reduction, mean_absolute_percentage_accuracy, predicted
+from ffcomp.identification.predict import mean_absolute_percentage_accuracy, predicted
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.record.plan import load_plan, run_name
 from models.file import LIBRARY, load_machine
@@ -20,7 +20,7 @@ from tests.support.cli import CliRunner, Result
 from tests.support.identification import measured, towers_bench
 from validation.plants import delta_plant
 from validation.plants.accelerometer import draw_chip, klipper_capture, nozzle_felt
-from validation.plants.study import PLACES, measure_bench, measure_places, uneven
+from validation.plants.study import PLACES, error_reduction, measure_bench, measure_places, uneven
 
 TRUTH_FILE = LIBRARY / "mp-delta-pro.toml"
 TRUTH = load_machine(TRUTH_FILE)

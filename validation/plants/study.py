@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.identification.predict import mean_absolute_percentage_accuracy
 from ffcomp.measurement.estimators import periodic_frf
 from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray
 from validation.plants import lab
 
 PLACES = ((0.0, 0.0, 30.0), (-80.0, 0.0, 30.0), (40.0, -69.0, 30.0), (40.0, 69.0, 30.0))
@@ -70,3 +72,13 @@ def _responses(record: lab.Record, excited: str, answers: list[str], **about: An
     lifted = record.answer - record.answer.mean(axis=0)  # where a carriage stands is not how it answers
     matrix = periodic_frf(record.excited[:, None], lifted, lab.RATE_HZ, period)
     return matrix.responses([excited], answers, (0.0, lab.RATE_HZ), **about)
+
+
+def error_reduction(
+    measured: ComplexArray, predicted: ComplexArray, baseline: ComplexArray, smallest_phase_deg: float
+) -> tuple[float, float]:
+    """How much smaller the error is than that of a baseline model, of magnitude and of phase, % (Eq. 72)."""
+    (magnitude, phase), (without, late) = (
+        mean_absolute_percentage_accuracy(measured, model, smallest_phase_deg) for model in (predicted, baseline)
+    )
+    return 100 * (1 - (100 - magnitude) / (100 - without)), 100 * (1 - (100 - phase) / (100 - late))
