@@ -31,7 +31,7 @@ class SearchSettings:
     loud_noise: float = _setting(0.1, "of the signals, rms", "with more noise, `none` is not said")
     # ---- evidence ----
     significant: float = _setting(10.0, "−2 ln Z", "gain of a hypothesis that is worth more numbers", "Kass 1995")
-    added_share: float = _setting(0.3, "of the discrepancy", "what an added effect removes at least")
+    added_share: float = _setting(0.5, "of the discrepancy", "what an added effect removes: more than it leaves")
     reshaped_share: float = _setting(0.1, "of the discrepancy", "what a freer shape of an effect removes at least")
     trace: float = _setting(3e-3, "of the discrepancy", "what an effect's formula may leave: no shape is more exact")
     # ---- breadth of the search ----
