@@ -183,8 +183,7 @@ class Job:
         return replace(result, steps=totals, shaper=None)
 
     def result(self, lines: Lines, seconds: float, predicted: Forecast) -> Result:
-        """Save the model's tables for the next print, and return the result after so many seconds of work."""
-        self.model.save_cache()
+        """Return the result after so many seconds of work."""
         return Result(
             self.path,
             self.machine,
@@ -426,7 +425,6 @@ def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterable[Outp
 def _work(chunk: Chunk, context: Context) -> Output:
     """Compensate a chunk in another process."""
     outputs = list(_planned_and_compensated(chunk, context))
-    context.model.save_cache()
     text = list(joined(chain.from_iterable(output.text for output in outputs)))
     return Output(text, sum((output.statistics for output in outputs), Statistics()))
 
