@@ -75,7 +75,9 @@ class Writer:
         self.segments = 0
         self.late_s = 0.0  # sum of their delays against their knots
         self.now_s = 0.0  # since the program's beginning
-        self.written: list[TimedSegments] = []  # the section's tiles, as their lines state them; s since its first knot
+        self.written: Sequence[
+            TimedSegments
+        ] = []  # the section's tiles, as their lines state them; s since its first knot
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
         self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
 
@@ -144,15 +146,16 @@ class Writer:
         """End within a block that another writer goes on with: `resume`."""
         yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
 
-    def extrude(self, move: int) -> Iterator[bytes]:
-        """Write an extruder-only move unchanged, but always with its feed."""
-        moves = self.program.moves
+    def extrude(self, section: Section) -> Iterator[bytes]:
+        """Write a section that moves only the extruder, unchanged but always with its feed."""
+        moves, move = self.program.moves, section.first
         yield self._original(int(moves.line[move]))
         yield from self._begin(move)
         x, y, z, e = moves.end[move]
         yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
+        self.now_s += section.end_t - section.begin_t
 
-    def sliced(self, section: Section, inside: Iterable[Event]) -> Iterator[bytes]:
+    def keep(self, section: Section, inside: Iterable[Event]) -> Iterator[bytes]:
         """Write the original lines of a section that travels."""
         moves, lasts_s = self.program.moves, section.end_t - section.begin_t
         lines = dict.fromkeys(moves.line[section.first : section.last].tolist())
@@ -204,7 +207,7 @@ class Writer:
 
     # -- a run
 
-    def section(
+    def tile(
         self, first: int, vertices: FloatArray, timeline: Timeline, filament: Filament | None = None
     ) -> Iterator[bytes]:
         """Write a section, or its next tile: many lines in one bytes object, times apart (`joined`).
@@ -232,7 +235,7 @@ class Writer:
             part = segments.part(since, until)
             text += self._segments_and_lines(part, [(k - since, line) for k, line in lines[a:b]], stated[since:until])
             since = until
-        self.written.append(replace(timed, vertices=np.vstack([begins, stated])))
+        self.written = [*self.written, replace(timed, vertices=np.vstack([begins, stated]))]
         yield from joined(text)
 
     def _segments(
@@ -502,13 +505,13 @@ def _stated(points: FloatArray, base: _Place, unit: float) -> FloatArray:
 REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
 
 
-class GcodeRenderer:
+class GcodeRenderer(Writer):
     """Writes the lines of one chunk; `step_output.StepRenderer` has the same methods."""
 
     def __init__(self, chunk: PlannedChunk, context: Context) -> None:
         model, program = context.model, chunk.planned.program
         self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, model.full_machine.kinematics
-        self._writer = Writer(
+        super().__init__(
             program,
             model.settings,
             FIRMWARES[context.flavor].segments(model),
@@ -519,29 +522,14 @@ class GcodeRenderer:
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         stops, waits = stops_and_waits(program)
-        self._rests = stops | (waits > 0.0)  # (n,) before each move
-        self._writer.note_returns(chunk.chunk.since)
-
-    @property
-    def segments(self) -> int:
-        """How many segments have been written."""
-        return self._writer.segments
-
-    @property
-    def late_s(self) -> float:
-        """By how much the segments written take longer than their knots, s."""
-        return self._writer.late_s
+        self._at_rest = stops | (waits > 0.0)  # (n,) before each move
+        self.note_returns(chunk.chunk.since)
 
     def before(self, section: Section) -> Iterator[bytes]:
         """Write the lines before a section."""
         yield from self._events_before(section.first)
         if wait_s := self._waits_s.get(section.first):
-            yield from self._writer.wait(wait_s)
-
-    def extrude(self, section: Section) -> Iterator[bytes]:
-        """Write a section that moves only the extruder."""
-        yield from self._writer.extrude(section.first)
-        self._writer.now_s += section.end_t - section.begin_t
+            yield from self.wait(wait_s)
 
     def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
         """Write the segments of a section, tile by tile, and the lines in it."""
@@ -551,7 +539,7 @@ class GcodeRenderer:
         inside = self._events.up_to(section.last - 1)
         if self._extent.begin is not None and section is planned.sections[0]:
             position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
-            self._writer.resume(self._extent.begin.move, position)
+            self.resume(self._extent.begin.move, position)
         for tile in tiles(reference.knots, begin=begin, end=end):
             part = vertices[tile.first : tile.last + 1]
             events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
@@ -561,31 +549,27 @@ class GcodeRenderer:
                 ends = float(solved.trajectory.position(np.array([t]))[0, 3])
                 lead = reference.lead_at(np.array([reference.knot_of(t)]))
                 events.e[np.searchsorted(events.at, end)] = ends + lead[0]
-            yield from self._writer.section(section.first, part, events, self._filament_after(section))
+            yield from self.tile(section.first, part, events, self._filament_after(section))
 
     def _filament_after(self, section: Section) -> Filament | None:
         """Return the filament that moves behind a section, if the firmware's queue holds it while the section ends."""
         moves, k = self._planned.program.moves, section.last
-        if k >= len(moves) or self._rests[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
+        if k >= len(moves) or self._at_rest[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
             return None
         return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
 
     def sliced(self, section: Section) -> Iterator[bytes]:
         """Write the original lines of a section."""
-        yield from self._writer.sliced(section, self._events.up_to(section.last - 1))
-
-    def written(self) -> Sequence[TimedSegments]:
-        """Return the last section's segments, piece by piece."""
-        return self._writer.written
+        yield from self.keep(section, self._events.up_to(section.last - 1))
 
     def finish(self) -> Iterator[bytes]:
         """Write the lines after the last section, and restore the file's limits."""
         if self._extent.end is None:
             yield from self._events_before(len(self._planned.program.moves))
-            yield from self._writer.close()
+            yield from self.close()
         else:
-            yield from self._writer.cut()
+            yield from self.cut()
 
     def _events_before(self, move: int) -> Iterator[bytes]:
         for event in self._events.up_to(move):
-            yield from self._writer.event(event)
+            yield from self.event(event)

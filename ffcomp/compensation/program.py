@@ -87,7 +87,7 @@ def compensated_sections(
             for check in checks:
                 check.add(solved)
             if prediction is not None:
-                prediction.add(solved, renderer.written())
+                prediction.add(solved, renderer.written)
         yield Output(text, statistics, min(section.end_t / end_t, 1.0))
     text = [*renderer.finish()]
     yield Output(

@@ -78,7 +78,8 @@ def _by_height(program: Program) -> list[tuple[int, int, bool]]:
 class StepRenderer:
     """Writes the steps of one chunk, with the methods of `gcode_writer.GcodeRenderer`; it yields no text."""
 
-    segments, late_s = 0, 0.0  # steps keep any time
+    segments, late_s = 0, 0.0  # steps keep any time,
+    written: Sequence[TimedSegments] = ()  # and follow the solved command
 
     def __init__(self, stream: StepStream, chunk: PlannedChunk, context: Context) -> None:
         self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
@@ -134,10 +135,6 @@ class StepRenderer:
                 stream.within(self._planned.program, event, segment_s * (at - first))
         stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
         stream.clock_s += segment_s * (last - first)
-        return ()
-
-    def written(self) -> Sequence[TimedSegments]:
-        """Return nothing: steps follow the solved command."""
         return ()
 
     def finish(self) -> Iterable[bytes]:

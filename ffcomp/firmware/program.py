@@ -46,14 +46,13 @@ def planner_of(program: Program, machine: Machine) -> Planner:
     return firmware_of(program).planner(program, machine)
 
 
-def cut_as_planned(program: Program, machine: Machine) -> Program:
-    """Cut moves where the firmware begins another block."""
-    return firmware_of(program).cut(program, machine)
-
-
 def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
     """Return what a G-code reader must know besides the file, as its keyword arguments."""
-    return {"returns": machine.returns, "still": machine.still, "cut": partial(cut_as_planned, machine=machine)}
+
+    def cut(program: Program) -> Program:
+        return firmware_of(program).cut(program, machine)
+
+    return {"returns": machine.returns, "still": machine.still, "cut": cut}
 
 
 def read_as_planned(

@@ -52,14 +52,10 @@ def rooms_of(section: Section, settings: Settings, flows: bool) -> Iterator[Room
     if duration_s <= ALL_ROOM_FROM_S:
         fewest = _segments_of(duration_s + (LEAST_S if flows else 0.0), settings.segment_s)
         most = _segments_of(duration_s + sum(all_of_it), settings.segment_s)
-        yield from (room_in(section, each, settings, 0.5) for each in range(fewest, most))
+        for segments in range(fewest, most):
+            half_s = 0.5 * (segments * settings.segment_s - duration_s)
+            yield Room(half_s, half_s)
     yield all_of_it
-
-
-def room_in(section: Section, segments: int, settings: Settings, lead_share: float) -> Room:
-    """Share out what a number of segments leaves of time beyond a section."""
-    spare_s = segments * settings.segment_s - (section.end_t - section.begin_t)
-    return Room(spare_s * lead_share, spare_s * (1.0 - lead_share))
 
 
 def _segments_of(duration_s: float, segment_s: float) -> int:

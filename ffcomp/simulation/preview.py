@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, planner_of
+from ffcomp.firmware.program import known_to_the_firmware, plan_program
 from ffcomp.metrics import (
     Track,
     build_track,
@@ -19,9 +19,8 @@ from ffcomp.metrics import (
     end_to_end,
     tracking,
 )
-from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.trajectory import Trajectory, split_sections
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import (
     command_peaks,
     motion_of,
@@ -154,7 +153,7 @@ def preview(
     original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **firmware)
     compensated = read_program(data, path, flavor=flavor, **firmware)
     original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
-    planned, compensation = _plan(original, machine), _plan(compensated, machine)
+    planned, compensation = plan_program(original, machine), plan_program(compensated, machine)
     reference, executed = planned.trajectory, compensation.trajectory
     path_t, corners = path_corners_with_rests(reference)
     playback = LinearPlayback(design_machine(machine)[0])
@@ -199,9 +198,3 @@ def _kinds(program: Program, plan: Trajectory) -> Callable[[FloatArray], tuple[B
         return extrudes[move], walls[move]
 
     return at
-
-
-def _plan(program: Program, machine: Machine) -> PlannedProgram:
-    stop_before, wait_before = stops_and_waits(program)
-    plan = planner_of(program, machine)(program.moves, stop_before=stop_before, wait_before=wait_before)
-    return PlannedProgram(program, plan, split_sections(plan, stop_before), plan.end_t)

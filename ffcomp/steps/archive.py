@@ -21,13 +21,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import DTypeLike, NDArray
 
-from gcode.atomic_write import replace_atomically
+from gcode.atomic_write import replacing
 from gcode.errors import GcodeError
 from models.arrays import FloatArray, IntArray
 
@@ -98,36 +98,10 @@ def number_npy(value: float) -> Iterator[bytes]:
 
 def write_archive(target: Path, members: Mapping[str, Iterator[bytes]]) -> None:
     """Arrays, each as the bytes of a `.npy` file, into one archive, which is replaced atomically."""
-    replace_atomically(target, _zipped(members))
-
-
-def _zipped(members: Mapping[str, Iterator[bytes]]) -> Iterator[bytes]:
-    out = _Drain()
-    with zipfile.ZipFile(cast(IO[bytes], out), "w", zipfile.ZIP_STORED) as archive:
+    with replacing(target) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, blocks in members.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
-                for block in blocks:
-                    member.write(block)
-                    yield from out.taken()
-    yield from out.taken()
-
-
-class _Drain:
-    """A write-only file that hands on its content."""
-
-    def __init__(self) -> None:
-        self._blocks: list[bytes] = []
-
-    def write(self, block: bytes) -> int:
-        self._blocks.append(bytes(block))
-        return len(block)
-
-    def flush(self) -> None:
-        """Nothing is kept back."""
-
-    def taken(self) -> list[bytes]:
-        blocks, self._blocks = self._blocks, []
-        return blocks
+                member.writelines(blocks)
 
 
 MOTORS = "abc"

@@ -58,14 +58,14 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
         for event in before:
             text += writer.event(event)
         if not run.travels:
-            text += writer.extrude(run.first)
+            text += writer.extrude(run)
             continue
         wanted = Reference(planned.trajectory, run, writer.settings)
         command = smoothed(wanted.at_knots(np.arange(wanted.knots + 1)))
         for tile in tiles(wanted.knots, length) if length else [Tile(0, 0, wanted.knots, wanted.knots)]:
             vertices = command[tile.first : tile.last + 1]
             events = timeline(program, planned.trajectory, run, wanted, vertices, inside, tile)
-            text += writer.section(run.first, vertices, events)
+            text += writer.tile(run.first, vertices, events)
     for event in program.events[taken:]:
         text += writer.event(event)
     return b"".join([*text, *writer.close()]), writer.segments
