@@ -10,11 +10,11 @@ import numpy as np
 from ffcomp.compensation.net import ENDS_MM, fault_of, path_fault
 from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, section_planner
-from ffcomp.inverse.feasible import PlannedSection, SolvedSection, solve_feasible
+from ffcomp.inverse.feasible import SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import solve
-from ffcomp.inverse.time_scaling import Replanner
+from ffcomp.inverse.time_scaling import PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
 from gcode.layers import LayerLookup
 from gcode.program import EventKind, Program

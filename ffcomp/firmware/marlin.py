@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import inf
 
 from ffcomp.firmware.base import FileLimits, Firmware, Segments
-from ffcomp.firmware.marlin_limits import MarlinLimits
 from ffcomp.firmware.marlin_planner import MarlinPlanner, cut_moves, planner_of
-from ffcomp.firmware.marlin_segments import MarlinSegments
+from ffcomp.firmware.marlin_segments import MarlinLimits, MarlinSegments
 from ffcomp.firmware.settings_in_force import assumed_sentence
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.segment_timing import SegmentLimits

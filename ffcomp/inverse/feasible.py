@@ -21,6 +21,7 @@ from ffcomp.inverse.reference import (
 )
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
+    PlannedSection,
     Replanner,
     ScaledSection,
     TimeScaling,
@@ -38,20 +39,6 @@ STEEP = 1.4  # times the accelerations of its path and its middle: limit for the
 CALMED = 3  # rounds; each inverts more of the section plainly
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
 NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedSection:
-    """A section to be solved within the machine's limits."""
-
-    program: Program  # whose moves the trajectory plans
-    trajectory: Trajectory
-    section: Section
-    written: WrittenReference  # the section's reference by this plan
-    state: FloatArray  # (18,) of the plant at the section's first knot
-    replanner: Replanner  # plans as the trajectory was planned
-    extent: Extent = WHOLE
-    keep_response: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,17 +83,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
             return found
     written = request.written
     solution = _free(model, request, written)
-    scaled = ScaledSection(
-        model,
-        request.program,
-        section.first,
-        section.last,
-        request.replanner,
-        section.begin_t,
-        request.extent,
-        request.state,
-        keep_response=request.keep_response,
-    )
+    scaled = ScaledSection(model, request)
     written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
         return SolvedSection(trajectory, section, written, solution)
@@ -220,7 +197,10 @@ def scale_around_cut(
     first, last = np.flatnonzero(inner)[[0, -1]].tolist()
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
     state = model.machine.equilibrium(moves.start[0, :3])
-    scaled = ScaledSection(model, program, 0, len(moves), replanner, 0.0, middle, state, fixed=~inner)
+    section = Section(0, len(moves), True, 0.0, plan.end_t)
+    written = middle.written(plan, section, model.settings)
+    request = PlannedSection(program, plan, section, written, state, replanner, middle)
+    scaled = ScaledSection(model, request, fixed=~inner)
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()
     if records and model.settings.slowing.strict:

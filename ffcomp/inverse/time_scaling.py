@@ -105,27 +105,32 @@ class TimeScaling:
         return f"line {lines}{layer}: {verb} to {percent} %, {self.seconds:.2g} s longer: {why}."
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
+class PlannedSection:
+    """A section to be solved within the machine's limits."""
+
+    program: Program  # whose moves the trajectory plans
+    trajectory: Trajectory
+    section: Section
+    written: WrittenReference  # the section's reference by this plan
+    state: FloatArray  # (18,) of the plant at the section's first knot
+    replanner: Replanner  # plans as the trajectory was planned
+    extent: Extent = WHOLE
+    keep_response: bool = False
+
+
 class ScaledSection:
     """The moves of one section, while they become slower."""
 
-    model: InverseModel
-    program: Program
-    first: int  # move of the program, of the section
-    last: int  # after its last move
-    replanner: Replanner
-    begin_t: float
-    extent: Extent
-    state: FloatArray
-    keep_response: bool = False
-    fixed: BoolArray | None = None  # (n,) the moves that keep their speed; None: those near the section's cuts
-
-    def __post_init__(self) -> None:
+    def __init__(self, model: InverseModel, request: PlannedSection, fixed: BoolArray | None = None) -> None:
+        """Plan the section; fixed : (n,) the moves that keep their speed; None: those near the section's cuts."""
+        self.model, self.request, self.program, self.extent = model, request, request.program, request.extent
         self.reasons: dict[int, Violation] = {}  # move → why it became slower at first
-        self.moves = some(self.program.moves, slice(self.first, self.last))
-        self._after_events = after_events(self.program, self.first, self.last) - self.first
+        first, last = request.section.first, request.section.last
+        self.moves = some(self.program.moves, slice(first, last))
+        self._after_events = after_events(self.program, first, last) - first
         self._plan_again()
-        self._fixed = self._near_cuts() if self.fixed is None else self.fixed
+        self._fixed = self._near_cuts() if fixed is None else fixed
 
     def _near_cuts(self) -> BoolArray:
         near = np.zeros(len(self.moves), dtype=np.bool_)
@@ -135,8 +140,8 @@ class ScaledSection:
         return near
 
     def _plan_again(self) -> None:
-        self.plan = self.replanner.plan(self.moves, self.begin_t)
-        self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
+        self.plan = self.request.replanner.plan(self.moves, self.request.section.begin_t)
+        self.section = Section(0, len(self.moves), True, self.request.section.begin_t, self.plan.end_t)
 
     def solve(self, tolerance_mm: float, first: Command) -> tuple[WrittenReference, Solution]:
         """Return the first feasible plan of a few rounds, and its command. first : of the original plan."""
@@ -175,8 +180,8 @@ class ScaledSection:
         return solve(
             self.model,
             written.reference,
-            self.state,
-            keep_response=self.keep_response,
+            self.request.state,
+            keep_response=self.request.keep_response,
             enforce_limits=enforce_limits,
         )
 
@@ -210,7 +215,7 @@ class ScaledSection:
     def _written_s(self) -> float:
         """Return the duration of the written part, s, as far as it ends in motion."""
         plan, (begin, end) = self.plan, self.extent
-        first_t = self.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
+        first_t = self.section.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
         return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
 
     def _free(self) -> Command:
@@ -319,7 +324,7 @@ class ScaledSection:
 
     def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray) -> Moves:
         """Scale the moves' top speeds by one factor (n,), acceleration and corners by another."""
-        moves, limits = self.moves, self.replanner.limits
+        moves, limits = self.moves, self.request.replanner.limits
         bounds = bounds_of(moves, lines_of(moves), limits)
         set_corner = moves.square_corner_velocity
         corner = np.where(np.isnan(set_corner), limits.square_corner_velocity_mm_per_s, set_corner)

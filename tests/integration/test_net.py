@@ -13,8 +13,9 @@ from ffcomp.compensation import solve
 from ffcomp.compensation.job import Job, Options, StepOutput
 from ffcomp.compensation.result import Result
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.feasible import PlannedSection, SolvedSection
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.time_scaling import PlannedSection
 from ffcomp.steps.sink import Board
 from gcode.embedded import original
 from models.arrays import FloatArray

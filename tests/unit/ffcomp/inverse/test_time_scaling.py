@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, plan_program, plan_section
-from ffcomp.inverse.feasible import PlannedSection, SolvedSection, solve_feasible
+from ffcomp.inverse.feasible import SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Reference
 from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.inverse.time_scaling import LayerOf, Replanner
+from ffcomp.inverse.time_scaling import LayerOf, PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section, Trajectory
