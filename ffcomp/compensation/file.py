@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from os.path import realpath
 from pathlib import Path
 
@@ -104,13 +105,9 @@ def _write(
 
 def _streams(todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]) -> dict[str, Lines]:
     """Return each print's compensated lines, computed on reading."""
-    done, whole = 0, max(sum(job.size for job in todo.values()), 1)
-    streams = {}
-    for name, job in todo.items():
+    sizes = [job.size for job in todo.values()]
 
-        def tell(share: float, done: int = done, size: int = job.size) -> None:
-            progress((done + share * size) / whole)
+    def tell(number: int, share: float) -> None:
+        progress((sum(sizes[:number]) + share * sizes[number]) / max(sum(sizes), 1))
 
-        streams[name] = job.lines(tell, folder)
-        done += job.size
-    return streams
+    return {name: job.lines(partial(tell, k), folder) for k, (name, job) in enumerate(todo.items())}

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -227,22 +228,24 @@ def search(sections: Sequence[SectionSearch], still_s: float) -> float:
     """
     if not sections:
         return 0.0
-    rounds, best = _CommonAcceleration(sections, still_s), _Best()
+    rounds = _CommonAcceleration(sections, still_s)
     rounds.accelerate()
     if len(sections) >= LEAST_SAMPLED:
         sample = sections[SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE]
         rounds.verify(sample, still_s * _duration_s(sample) / _duration_s(sections))
         rounds.step_to_target()
         rounds.percentiles.clear()  # of some sections, not of all
+    tried = []  # the quickest motion that keeps the bound is the best; if none does, the one that is nearest to it
     for number in range(MAX_PREDICTIONS):
         if number:
             rounds.step_to_target()
         p99 = rounds.verify(sections, still_s)
-        best.look(sections, p99)
+        tried.append(((max(p99, 1.0), _duration_s(sections)), [(each.moves, each.predicted) for each in sections]))
         if ACCEPTED_P99 <= p99 <= 1.0 or (p99 < 1.0 and rounds.at_ceiling):
             break
-    best.restore(sections)
-    for each in sections:
+    _, best = min(tried, key=itemgetter(0))
+    for each, (moves, predicted) in zip(sections, best, strict=True):
+        each.moves, each.predicted = moves, predicted
         each.settle(PEAK_LEVEL)
     return _percentile(sections, still_s)
 
@@ -304,22 +307,6 @@ def _secant(known: Sequence[tuple[float, float]], usual: float) -> float:
 
 def _duration_s(sections: Sequence[SectionSearch]) -> float:
     return sum(each.forecasted.plan.end_t for each in sections)
-
-
-class _Best:
-    """The quickest motion so far that keeps the bound; if none does, the one that is nearest to it."""
-
-    def __init__(self) -> None:
-        self.rank, self.kept = (np.inf, np.inf), list[tuple[Moves, SectionPrediction | None]]()
-
-    def look(self, sections: Sequence[SectionSearch], p99: float) -> None:
-        rank = max(p99, 1.0), _duration_s(sections)
-        if rank < self.rank:
-            self.rank, self.kept = rank, [(each.moves, each.predicted) for each in sections]
-
-    def restore(self, sections: Sequence[SectionSearch]) -> None:
-        for each, (moves, predicted) in zip(sections, self.kept, strict=True):
-            each.moves, each.predicted = moves, predicted
 
 
 def _percentile(sections: Sequence[SectionSearch], still_s: float) -> float:

@@ -40,7 +40,7 @@ from ffcomp.firmware.marlin_queue import (
 )
 from ffcomp.firmware.settings_in_force import SettingsInForce
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.lookahead import Phases
+from ffcomp.planner.lookahead import Phases, timed
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -93,10 +93,7 @@ class MarlinPlanner:
         lines = lines_of(moves)
         of_blocks = (blocks.acceleration, blocks.events, tuple(phases_of(blocks)))
         columns = _shared_out(ends[blocks.target], lines.length, moves.speed, *of_blocks)
-        since = np.array(wait_before, dtype=np.float64)
-        since[1:] += columns[:3].sum(axis=0)[:-1]
-        since[:1] += start_t
-        return Trajectory(np.cumsum(since), *Phases(*columns), moves.start, lines.direction)
+        return timed(moves, lines, Phases(*columns), wait_before, start_t)
 
     def blocks(self, moves: Moves, rests: BoolArray) -> tuple[Blocks, IntArray]:
         """Return Marlin's queue for these moves, and for each target the move that ends there.

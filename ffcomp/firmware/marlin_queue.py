@@ -14,7 +14,7 @@ become 280.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -102,11 +102,8 @@ def plan_blocks(targets: Targets, minimum_steps: int, slowdown: bool) -> Blocks:
     minimum_steps : moves with fewer steps of every motor are joined to the next
     slowdown : moves are stretched while the queue fills
     """
-    t = targets
-    arcs = (t.radius, t.arc_left)
-    table, target, count = _blocks(
-        t.start, t.end, t.length, t.speed, *arcs, t.rests, t.settings, minimum_steps, slowdown
-    )
+    columns = (getattr(targets, each.name) for each in fields(targets))
+    table, target, count = _blocks(*columns, minimum_steps, slowdown)
     return Blocks(target[:count], table[:count, :4], table[:count, 4:8], *table[:count, _MM : _DOWN + 1].T)
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
+from ffcomp.planner.limits import Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
@@ -96,7 +96,16 @@ def plan_moves(
     check(moves, wait_before)
     lines = lines_of(moves)
     bounds = bounds_of(moves, lines, limits)
-    kept, corner = corners(lines, bounds, limits, stop_before | (wait_before > 0.0))
+    kept, corner = _corners(
+        lines.length,
+        lines.direction,
+        lines.travels,
+        bounds.speed,
+        bounds.acceleration,
+        bounds.junction_deviation,
+        stop_before | (wait_before > 0.0),
+        limits.instantaneous_corner_velocity_mm_per_s,
+    )
     phases = phases_from_corners(
         kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration
     )
@@ -154,23 +163,6 @@ def timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, s
 # Corners
 
 
-def corners(lines: Lines, bounds: Bounds, limits: PlannerLimits, stop_before: BoolArray) -> tuple[IntArray, FloatArray]:
-    """Return the moves with a length, (m,), and the highest v² at their starts, (m,).
-
-    stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
-    """
-    return _corners(
-        lines.length,
-        lines.direction,
-        lines.travels,
-        bounds.speed,
-        bounds.acceleration,
-        bounds.junction_deviation,
-        stop_before,
-        limits.instantaneous_corner_velocity_mm_per_s,
-    )
-
-
 @kernel
 def _corners(
     length: FloatArray,
@@ -182,6 +174,10 @@ def _corners(
     stop_before: BoolArray,
     filament_jump: float,
 ) -> tuple[IntArray, FloatArray]:
+    """Return the moves with a length, (m,), and the highest v² at their starts, (m,).
+
+    stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
+    """
     kept, corner = np.empty(len(length), dtype=np.int64), np.zeros(len(length))
     m, last, stops = 0, 0, True
     for i in range(len(length)):
