@@ -150,6 +150,7 @@ def pieces_of(plan: Motion, command: Motion, path: tuple[FloatArray, FloatArray]
     pieces = []
     for first in np.linspace(plan.begin_t, plan.end_t - length, count).tolist():
         begin, end = np.interp([first, first + length], due, executed).tolist()
+        begin = command.begin_t if first == plan.begin_t else begin  # a command leads its path, from rest
         t = begin + STEP_S * np.arange(whole_steps(end - begin) + 1, dtype=np.float64)
         planned = first + STEP_S * np.arange(-MARGIN, whole_steps(length) + 1 + MARGIN, dtype=np.float64)
         rows, commanded = plan.position(planned), command.position(t)
