@@ -11,6 +11,7 @@ from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.simulation.command import planned_motion
 from ffcomp.simulation.expectation import (
     PRINTERS,
+    STEP_S,
     TRUNCATION_SD,
     Expectation,
     Piece,
@@ -52,6 +53,15 @@ def test_where_the_file_is_certain_the_printer_is_as_it_says(machine: Machine) -
     assert found.printers == 0 and found.uncertainty == 0.0
     assert found.compensated_um == pytest.approx(found.uncompensated_um, rel=1e-3)
     assert found.shaper_um < 0.5 * found.uncompensated_um
+
+
+def test_the_first_piece_holds_what_a_command_does_before_its_path_begins(machine: Machine) -> None:
+    """A command leads its path from rest: a printer that began in the middle of the lead would ring from a jump."""
+    (stretch,), _ = Print(squares(1), "squares.gcode", machine, machine.kinematics.centre_mm).slices(Sampling())
+    command = planned_motion(stretch.trajectory)
+    leading = replace(command, begin_t=command.begin_t - 0.01)
+    (late,), (early,) = (pieces_of(stretch.motion, each, stretch.corners) for each in (command, leading))
+    assert len(early.command) - len(late.command) >= round(0.01 / STEP_S)
 
 
 def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(machine: Machine) -> None:
