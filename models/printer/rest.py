@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.polynomial import polyvander2d
+from numpy.polynomial.polynomial import polyvander
 
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
@@ -83,7 +83,7 @@ def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> lis
 
 
 ORDER = 8
-LOW = np.add.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)).ravel() <= ORDER
+OF_X, OF_Y = np.nonzero(np.add.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)) <= ORDER)  # (45,) powers
 _RINGS, _ANGLES = 9, 18
 
 
@@ -100,7 +100,8 @@ def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
 
 def _powers(xy: FloatArray) -> FloatArray:
     """Compute x^i y^j for all i + j up to ORDER : (m, 45) of (m, 2)."""
-    return np.asarray(polyvander2d(xy[:, 0], xy[:, 1], (ORDER, ORDER))[:, LOW])
+    by_x, by_y = (polyvander(x, ORDER) for x in xy.T)
+    return np.asarray(by_x[:, OF_X] * by_y[:, OF_Y])
 
 
 @lru_cache(maxsize=64)

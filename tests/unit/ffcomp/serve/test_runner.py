@@ -103,7 +103,7 @@ def test_progress_is_seen_while_it_runs_and_cancel_ends_the_process(tmp_path: Pa
     with runner(tmp_path) as made:
         id_ = add(made, "slow")
         job = running(made, id_)
-        assert job.share == 0.4 and job.doing == "compensating, 7 s left"
+        assert job.share == 0.4 and job.doing == "compensating, about 5 s left"
         assert made.cancel(id_).state == CANCELLED
         until(lambda: not alive(job.pid))
         assert ended(made, id_).state == CANCELLED
