@@ -55,7 +55,7 @@ def _asked(rng: np.random.Generator, dt: float, swing: float, hertz: float) -> F
     t = np.arange(0.0, SECONDS, dt)
     tones = (rng.normal() / k * np.sin(2 * np.pi * hertz * k / 5 * t + rng.uniform(0, 6.3)) for k in range(1, 6))
     q = np.sum(list(tones), axis=0)
-    q *= swing / np.abs(q).max() * np.clip(2 * t, 0.0, 1.0)
+    q *= swing / np.abs(q).max() * np.sin(np.pi * np.clip(t, 0.0, 0.5)) ** 2
     v = np.gradient(q, dt)
     return np.column_stack([q, v, np.gradient(v, dt)])
 
