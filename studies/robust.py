@@ -203,9 +203,9 @@ def rows(name: str, printed: str, counts: tuple[int, int]) -> Iterator[dict[str,
     for sd in SDS:
         believed = replace(machine, uncertainty={"default": sd})
         plain, robust = (pieces(slices, believed, kind) for kind in (COMPENSATED, ROBUST))
-        exact = errors_um(robust, playbacks([machine], robust), Piece.compensated)[0]
+        exact = errors_um(robust, playbacks([machine]), Piece.compensated)[0]
         kinds: dict[str, Sequence[Printer]] = {
-            "linear": playbacks(draw_plants(believed, None, PRINTERS + counts[0])[PRINTERS:], robust)
+            "linear": playbacks(draw_plants(believed, None, PRINTERS + counts[0])[PRINTERS:])
         }
         if sd in NONLINEAR_SDS:
             kinds["nonlinear"] = nonlinear(machine, sd, counts[1])

@@ -183,7 +183,8 @@ class Job:
         return replace(result, steps=totals, shaper=None)
 
     def result(self, lines: Lines, seconds: float, predicted: Forecast) -> Result:
-        """Return the result after so many seconds of work."""
+        """Save the model's tables for the next print, and return the result after so many seconds of work."""
+        self.model.save_cache()
         return Result(
             self.path,
             self.machine,
@@ -425,6 +426,7 @@ def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterable[Outp
 def _work(chunk: Chunk, context: Context) -> Output:
     """Compensate a chunk in another process."""
     outputs = list(_planned_and_compensated(chunk, context))
+    context.model.save_cache()
     text = list(joined(chain.from_iterable(output.text for output in outputs)))
     return Output(text, sum((output.statistics for output in outputs), Statistics()))
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.inverse import disk_cache
 from ffcomp.inverse.command_limits import CommandLimits
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
@@ -23,6 +24,7 @@ from models.effects.catalogue import design_machine, without_effects
 from models.kinematics.base import Compiled
 from models.machine import Machine
 from models.vibration.scheduled import (
+    TABLE_ARRAYS,
     PlantTable,
     Schedule,
     interpolate,
@@ -116,7 +118,7 @@ class InverseModel:
     settings: Settings
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Another process builds its own tables, and keeps them for its next task."""
+        """Another process builds its own tables, or reads them from the cache, and keeps them for its next task."""
         return model_of, (self.full_machine, self.settings)
 
     @cached_property
@@ -146,12 +148,12 @@ class InverseModel:
     @cached_property
     def plant(self) -> Schedule:
         """The plant along any path, at the substeps of a segment."""
-        return Schedule(self.machine.kinematics, self._table(self.settings.substeps))
+        return Schedule(self.machine.kinematics, self._table("fine", self.settings.substeps))
 
     @cached_property
     def row_table(self) -> PlantTable:
         """The plant over the bed, at the rows of a segment."""
-        return self._table(self.settings.rows_per_segment)
+        return self._table("coarse", self.settings.rows_per_segment)
 
     @cached_property
     def control_weight(self) -> float:
@@ -174,12 +176,45 @@ class InverseModel:
         """The gains of the preview inverse."""
         reach = self.machine.kinematics.model_reach_mm
         states = self.row_table.plant.a.shape[1]
-        return PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
+        gains = PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
+        if arrays := self._cache.arrays:
+            gains.take_up(arrays)
+            self._cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
+        return gains
 
-    def _table(self, steps: int) -> PlantTable:
+    @cached_property
+    def _cache(self) -> _Cache:
+        s = self.settings
+        name = disk_cache.name_of(self.machine, s.segment_s, s.substeps, s.rows_per_segment, s.inverse_hz, s.one_model)
+        return _Cache(name, disk_cache.load(name))
+
+    def _table(self, name: str, steps: int) -> PlantTable:
         """Tabulate the plant over the bed, for so many steps a segment."""
+        if known := self._cache.arrays:
+            return PlantTable.of_arrays({each: known[f"{name} {each}"] for each in TABLE_ARRAYS})
         table = plant_table(self.machine.kinematics, self.machine.vibration, self.settings.segment_s / steps)
         return table.frozen() if self.settings.one_model else table
+
+    def save_cache(self) -> None:
+        """Save tables and gains on disk for the next time."""
+        cache, robust = self._cache, self.__dict__.get("_robust")
+        places = len(self.gains)
+        nodes = 0 if robust is None else len(robust.sensitivity)
+        if not places or (places == cache.rows("node") and nodes <= cache.rows("sensitivity node")):
+            return
+        meanwhile = disk_cache.load(cache.name)  # another process may have been elsewhere on the bed
+        if meanwhile:
+            self.gains.take_up(meanwhile)
+        tables = {"fine": self.plant.table, "coarse": self.row_table}
+        arrays = {f"{name} {each}": array for name, table in tables.items() for each, array in table.arrays().items()}
+        if robust is not None:
+            robust.sensitivity.take_up(meanwhile)
+            arrays |= robust.sensitivity.known()
+        else:
+            arrays |= {name: each for name, each in meanwhile.items() if name.startswith("sensitivity")}
+        arrays |= self.gains.known()
+        disk_cache.save(cache.name, arrays)
+        cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
 
     def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """Return the plant for half a segment at positions (g, 2) mm, and the nozzle's Jacobian there."""
@@ -205,7 +240,9 @@ class InverseModel:
     def _robust(self) -> RobustReference:
         s = self.settings
         row_s = s.segment_s / s.rows_per_segment
-        return RobustReference(self.machine, row_s, s.inverse_hz, self.control_weight)
+        robust = RobustReference(self.machine, row_s, s.inverse_hz, self.control_weight)
+        robust.sensitivity.take_up(self._cache.arrays)
+        return robust
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
@@ -254,6 +291,18 @@ def model_of(machine: Machine, settings: Settings) -> InverseModel:
         _per_thread.model, _per_thread.key = InverseModel(machine, settings), key
     model: InverseModel = _per_thread.model
     return model
+
+
+@dataclass
+class _Cache:
+    """The arrays of one machine on disk."""
+
+    name: str
+    arrays: disk_cache.Arrays  # as loaded or saved, apart from gains in use; empty: none
+
+    def rows(self, name: str) -> int:
+        """Return how many rows an array has; 0: there is none."""
+        return len(self.arrays[name]) if name in self.arrays else 0
 
 
 def steady_delay(machine: Machine) -> float:

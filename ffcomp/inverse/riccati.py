@@ -22,7 +22,7 @@ doubling (Chu, Fan, Lin & Wang, Int. J. Control 77 (2004) 767-788).
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
@@ -345,6 +345,22 @@ class PreviewGains:
         self._steady = self._steady.with_room(now)
         self._steady.backward[known:now], self._steady.forward[known:now] = gains.backward, gains.forward
         self._slot[node] = np.arange(known, now)
+
+    def __len__(self) -> int:
+        """Places whose gains are known."""
+        return len(self._node)
+
+    def known(self) -> dict[str, NDArray[Any]]:
+        """All gains so far, to be taken up again."""
+        with self._working:
+            n = len(self._node)
+            return {"node": self._node, "backward": self._steady.backward[:n], "forward": self._steady.forward[:n]}
+
+    def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
+        """Gains of the same machine that somebody else has worked out."""
+        with self._working:
+            new = self._slot[known["node"]] < 0
+            self._add(known["node"][new], Gains(known["backward"][new], known["forward"][new]))
 
     def end(self, slot: int) -> Gains:
         """Return the gains of the last `TO_THE_END` intervals of a section that ends at a position, first to last.

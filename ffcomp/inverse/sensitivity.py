@@ -10,7 +10,7 @@ side of a span.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from threading import Lock
@@ -137,6 +137,29 @@ class Sensitivity:
         before = np.clip(np.searchsorted(at_nodes, self.frequency, side="right") - 1, 0, len(at_nodes) - 2)
         share = ((self.frequency - at_nodes[before]) / np.diff(at_nodes)[before]).astype(np.float32)
         return np.asarray(known[..., before] + share * (known[..., before + 1] - known[..., before]))
+
+    def __len__(self) -> int:
+        """Return the number of nodes."""
+        return len(self._nodes)
+
+    def known(self) -> dict[str, NDArray[Any]]:
+        """Return all of D so far, to be taken up again; nothing where none is known."""
+        with self._working:
+            if not self._nodes:
+                return {}
+            return {
+                "sensitivity node": np.array(list(self._nodes)),
+                "sensitivity": np.stack(list(self._nodes.values())),
+            }
+
+    def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
+        """Take up D of the same machine that somebody else has worked out."""
+        if "sensitivity" in known:
+            if known["sensitivity"].shape[1] != 1 + self.directions:
+                return
+            with self._working:
+                for (a, b), response in zip(known["sensitivity node"].tolist(), known["sensitivity"], strict=True):
+                    self._nodes.setdefault((a, b), response)
 
     def _node(self, node: tuple[int, int]) -> ShortComplexArray:
         if node not in self._nodes:

@@ -235,7 +235,7 @@ def expectation(machine: Machine, pieces: Sequence[Piece]) -> Expectation | None
     if not pieces:
         return None
     plants = draw_plants(machine, None, PRINTERS) if any(machine.uncertainty.values()) else []
-    printers = playbacks(plants or [machine], pieces)
+    printers = playbacks(plants or [machine])
     name, shaper = best_shaper(shaped_errors(pieces, printers, tuned_shapers(machine, pieces)))
     return expectation_of(
         machine,
@@ -250,11 +250,9 @@ def expectation(machine: Machine, pieces: Sequence[Piece]) -> Expectation | None
     )
 
 
-def playbacks(machines: Sequence[Machine], pieces: Sequence[Piece]) -> list[LinearPlayback]:
-    """Return the linear model of each machine, ready to be simulated where these pieces are."""
-    places = [rows[:, :2] for piece in pieces for rows in (piece.plan, piece.command)]
-    part_mm = min(float(each.min()) for each in places), max(float(each.max()) for each in places)
-    return [LinearPlayback(design_machine(each)[0], TABLE_PITCH_MM, part_mm) for each in machines]
+def playbacks(machines: Sequence[Machine]) -> list[LinearPlayback]:
+    """Return the linear model of each machine, ready to be simulated."""
+    return [LinearPlayback(design_machine(each)[0], TABLE_PITCH_MM) for each in machines]
 
 
 def errors_um(
@@ -267,7 +265,7 @@ def errors_um(
 
 def tuned_shapers(machine: Machine, pieces: Sequence[Piece]) -> list[Tuned]:
     """Return the best shaper of each kind, for the pieces that ring most on the printer of the machine file."""
-    (printer,) = playbacks([machine], pieces)
+    (printer,) = playbacks([machine])
     loudest = sorted(pieces, key=lambda piece: -float(piece.squares(piece.planned(), [printer])[0].sum()))[:TUNED_ON]
     return [_tuned(machine, printer, loudest, kind) for kind in KINDS]
 

@@ -21,12 +21,10 @@ JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the noz
 class LinearPlayback:
     """The linear model of a machine, simulated with a fixed step of STEP_S."""
 
-    def __init__(
-        self, machine: Machine, pitch_mm: float = PITCH_MM, part_mm: tuple[float, float] | None = None
-    ) -> None:
-        """Tabulate the plant, with nodes this far apart, over the bed or where X and Y are between two values."""
+    def __init__(self, machine: Machine, pitch_mm: float = PITCH_MM) -> None:
+        """Tabulate the plant over the bed, with nodes this far apart."""
         self._machine = machine
-        table = plant_table(machine.kinematics, machine.vibration, STEP_S, pitch_mm, part_mm)
+        table = plant_table(machine.kinematics, machine.vibration, STEP_S, pitch_mm)
         self._schedule = Schedule(machine.kinematics, table)
 
     def respond(

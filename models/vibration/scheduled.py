@@ -6,10 +6,12 @@ the bed; inside an interval the discrete model is exact for a command that is li
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
 from models.compiled import kernel, with_numba
@@ -45,20 +47,30 @@ class PlantTable:
         same: Any = {name: np.repeat(x[middle : middle + 1], len(p.a), axis=0) for name, x in matrices.items()}
         return replace(self, plant=replace(p, **same))
 
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """Return all arrays, for a cache."""
+        p = self.plant
+        grid = np.array([self.x0_mm, self.pitch_mm, self.nodes, p.step_s, p.drive_states])
+        return {"grid": grid, "jacobian": self.jacobian, **{name: getattr(p, name) for name in PLANT_ARRAYS}}
 
-def table_positions(
-    kinematics: Kinematics, pitch_mm: float = PITCH_MM, part_mm: tuple[float, float] | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the nodes' places along one axis (k,) and all nodes (k², 2) mm, those beyond the rim moved back to it.
+    @classmethod
+    def of_arrays(cls, kept: Mapping[str, NDArray[Any]]) -> PlantTable:
+        """Return a table from its arrays."""
+        x0, pitch, nodes, step_s, drive_states = kept["grid"].tolist()
+        arrays: dict[str, Any] = {name: kept[name] for name in PLANT_ARRAYS}
+        plant = DiscretePlant(step_s, drive_states=int(drive_states), **arrays)
+        return cls(x0, pitch, int(nodes), plant, kept["jacobian"])
 
-    part_mm : the lowest and the highest coordinate that matters, of X and Y; None: those of the whole bed
-    """
+
+PLANT_ARRAYS = ("a", "b0", "b1", "b_centripetal", "carriage", "oscillators")
+TABLE_ARRAYS = ("grid", "jacobian", *PLANT_ARRAYS)
+
+
+def table_positions(kinematics: Kinematics, pitch_mm: float = PITCH_MM) -> tuple[FloatArray, FloatArray]:
+    """Return the nodes' places along one axis (k,) and all nodes (k², 2) mm, those beyond the rim moved back to it."""
     reach = kinematics.model_reach_mm
     half = int(np.ceil(reach / pitch_mm)) + 1
-    first, last = -half, half
-    if part_mm is not None and reach > 0.0:
-        first, last = max(int(part_mm[0] // pitch_mm), -half), min(int(part_mm[1] // pitch_mm) + 1, half)
-    axis = pitch_mm * np.arange(first, last + 1)
+    axis = pitch_mm * np.arange(-half, half + 1)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     radius = np.hypot(*xy.T)
     rim = reach + min(pitch_mm, 0.9 * kinematics.spare_reach_mm)
@@ -66,14 +78,10 @@ def table_positions(
 
 
 def plant_table(
-    kinematics: Kinematics,
-    vibration: VibrationModel,
-    step_s: float,
-    pitch_mm: float = PITCH_MM,
-    part_mm: tuple[float, float] | None = None,
+    kinematics: Kinematics, vibration: VibrationModel, step_s: float, pitch_mm: float = PITCH_MM
 ) -> PlantTable:
-    """Return the plant over the whole bed, or a part of it. Nodes outside the print radius repeat the rim's plant."""
-    axis, xy = table_positions(kinematics, pitch_mm, part_mm)
+    """Return the plant over the whole bed. Nodes outside the print radius repeat the rim's plant."""
+    axis, xy = table_positions(kinematics, pitch_mm)
     plant = discretise(vibration.state_space(xy), step_s)
     return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, kinematics.jacobian(xy))
 
