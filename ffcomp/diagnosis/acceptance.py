@@ -67,7 +67,7 @@ def out_of_reach(best: Hypothesis) -> list[str]:
 
 
 def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
-    """Say of which effect nothing shows what makes it one: a ripple without a pitch, a mode without a frequency.
+    """Name the effects without a determined pitch or frequency: nothing shows that they repeat, or swing.
 
     A mode that swings far below the band is a mass that stays behind, and stands in for whatever asks for a gain.
     """

@@ -228,8 +228,8 @@ class ForceBalance(AxisProblem):
     def _needed(self, machine: Machine, one: Shots, run: int, coarse: bool) -> FloatArray:
         """Return the force, (n,) N, that the motion needs while the drive presses as in these shots.
 
-        The axis is simulated with a mass that no force moves in a sample, so that bristles bend by the measured
-        motion, and not by the force that would be missing without them.
+        It moves as measured, so that bristles bend by that motion. The mass is heavy because otherwise the integrator
+        would make dry friction less steep; its own is put in afterwards.
         """
         motion = one.simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
         self.work.add(STEP_COST * motion.steps)

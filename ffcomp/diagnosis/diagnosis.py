@@ -286,7 +286,7 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
     if part is None:
         return None
     count, share = len(part.problem.candidates), f"{100 * part.share:.0f} % of the data"
-    progress(Stage(3, f"screening {count} effects in {share}, for they stand out"))
+    progress(Stage(3, f"screening {count} effects in {share}: the discrepancy is large"))
     filed, begun = _as_filed(part), fit_in_excerpt(part, base)
     retuned = fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
     screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))

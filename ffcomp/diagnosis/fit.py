@@ -185,7 +185,7 @@ class Fit:
 
     @cached_property
     def prior(self) -> FloatArray:
-        """(p,) weight of each z²: φ of the file's numbers; how large an effect is nobody knows beforehand."""
+        """(p,) weight of each z²: φ of the file's numbers, 1 of the effects', whose sizes no file states."""
         return np.where(believed(self.parameters), self.overdispersion, 1.0)
 
     @property

@@ -33,7 +33,7 @@ class HeldOut:
     """A place left out of the fit: the discrepancy there, as shares of its noise (χ² by row, less one)."""
 
     position: Position
-    experiment: str  # where experiments take turns, for there is one place only; else ""
+    experiment: str  # where experiments take turns because there is one place only; else ""
     rows: int
     before: float  # with the machine's parameters retuned at the other positions
     after: float  # with the effects as well

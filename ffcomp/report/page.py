@@ -41,7 +41,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page: what stands above and below the answer of a verb."""
+    """A page: title, answer of a verb, drawings, figures and tables."""
 
     title: str  # the print or the machine
     about: Sequence[str] = ()  # short facts below the title
