@@ -1,7 +1,7 @@
 """Zip archives of slicers: `.gcode.3mf` with a print for each plate, `.ufp` with one.
 
 G-code is unpacked in memory during reading. When the archive is written, every other member is copied byte for byte:
-packed data, order and dates.
+packed data and dates.
 """
 
 from __future__ import annotations
@@ -37,11 +37,8 @@ _PREDICTION = re.compile(rb'(key="prediction"\s+value=")(\d{1,12})(?=")')  # s
 _HEAD_BYTES = 1 << 16  # BambuStudio and OrcaSlicer state the time within these
 _ENCRYPTED = 1  # a bit of the flags
 _DAMAGED = (BadZipFile, zlib.error, LZMAError, struct.error, EOFError, RuntimeError, ValueError, OSError)
-
-# Of a directory entry (APPNOTE 4.3.12): its fixed size, and the offsets of its lengths and of its record.
-_RECORD, _DIRECTORY_ENDS = b"PK\3\4", (b"PK\5\6", b"PK\6\6")  # how a record begins, and what follows the directory
-_ENTRY_BYTES, _LENGTHS_AT, _PLACE_AT = 46, 28, 42
-_LARGEST, _MOST_MEMBERS = (1 << 32) - 1, (1 << 16) - 1  # bytes; more (zip64) is for other things than prints
+_RECORD = b"PK\3\4"  # how a record begins (APPNOTE 4.3.7)
+_LARGE = 1 << 27  # bytes of a print that may exceed 4 GiB when it is compensated
 
 _Open = Callable[[], BinaryIO]
 
@@ -53,7 +50,6 @@ class Archive:
     prints: Mapping[str, Source]
     checksums: Mapping[str, bytes]
     reopen: _Open
-    path: str
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
         """Write the archive with these texts in place of its prints."""
@@ -71,8 +67,14 @@ class Archive:
                 if any(longer_s.values()) and _INFO in old.namelist() and old.getinfo(_INFO).file_size <= BLOCK:
                     with new.open(_like(old.getinfo(_INFO)), "w") as member:
                         member.write(_with_predictions(old.read(_INFO), longer_s))
-            with ZipFile(scratch) as new:
-                _join(file, _members(old, packed), _members(new, scratch), old.comment, self.path)
+            with ZipFile(scratch) as new, ZipFile(file, "w") as out:
+                out.comment = old.comment
+                ends_old, ends_new = _ends(old), _ends(new)
+                for each in sorted(old.infolist(), key=lambda each: each.header_offset):
+                    if found := new.NameToInfo.get(each.filename):
+                        _copy(scratch, found, ends_new[found.header_offset], out)
+                    else:
+                        _copy(packed, each, ends_old[each.header_offset], out)
 
 
 @contextmanager
@@ -89,7 +91,7 @@ def open_archive(reopen: _Open, path: str) -> Iterator[Archive]:
     prints = {name: _print(reopen, members[name], f"{path}/{name}") for name in names}
     for name, checksum in checksums.items():
         _check_digest(prints[name], checksum, f"{path}/{name}")
-    yield Archive(prints, checksums, reopen, path)
+    yield Archive(prints, checksums, reopen)
 
 
 # -- reading --
@@ -147,11 +149,6 @@ def _check_records(archive: ZipFile, file: BinaryIO) -> None:
         begins = each.header_offset == 0 if place == 0 else each.header_offset > 0
         if not begins or _at(file, each.header_offset, 4) != _RECORD:
             raise BadZipFile(f"{each.filename!r} is not at the position in the directory")
-    file.seek(archive.start_dir)
-    for _ in archive.infolist():
-        _entry(file)
-    if file.read(4) not in _DIRECTORY_ENDS:
-        raise BadZipFile("the directory's length is wrong")
 
 
 def _at(file: BinaryIO, place: int, count: int) -> bytes:
@@ -182,7 +179,7 @@ def _check_digest(print_: Source, checksum: bytes, path: str) -> None:
 def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> tuple[str, bytes]:
     """Add a member with this text and the old one's attributes (it had `size` bytes); return its MD5 and its head."""
     digest, head = hashlib.md5(usedforsecurity=False), b""
-    with new.open(_like(old), "w", force_zip64=size > _LARGEST // 32) as member:  # compensated prints grow tenfold
+    with new.open(_like(old), "w", force_zip64=size > _LARGE) as member:  # compensated prints grow tenfold
         for piece in lines:
             digest.update(piece)
             member.write(piece)
@@ -222,54 +219,21 @@ def _with_digest(old: bytes, digest: str) -> bytes:
     return _MD5.sub((digest.upper() if upper else digest).encode(), old, count=1)
 
 
-@dataclass(frozen=True, slots=True)
-class _Member:
-    """The position of a member's record in a file, and its entry in the directory."""
-
-    file: BinaryIO
-    begin: int
-    end: int
-    entry: bytes
-
-
-def _members(archive: ZipFile, file: BinaryIO) -> dict[str, _Member]:
-    """Return the members in the order of the directory."""
-    infos = archive.infolist()
-    end_of = dict(pairwise([*sorted(each.header_offset for each in infos), archive.start_dir]))
-    file.seek(archive.start_dir)
-    entries = [_entry(file) for _ in infos]
-    return {
-        each.filename: _Member(file, each.header_offset, end_of[each.header_offset], entry)
-        for each, entry in zip(infos, entries, strict=True)
-    }
-
-
-def _entry(file: BinaryIO) -> bytes:
-    fixed = file.read(_ENTRY_BYTES)
-    return fixed + file.read(sum(struct.unpack_from("<3H", fixed, _LENGTHS_AT)))
-
-
-def _join(
-    out: BinaryIO, kept: Mapping[str, _Member], changed: Mapping[str, _Member], comment: bytes, path: str
-) -> None:
-    """Write the archive again with the packed records unchanged and in their old order."""
-    places = {}
-    for name in sorted(kept, key=lambda name: kept[name].begin):
-        places[name] = out.tell()
-        _copy(changed.get(name, kept[name]), out)
-    begin = out.tell()
-    if begin > _LARGEST or len(kept) > _MOST_MEMBERS:
-        raise UnsupportedGcode(f"The zip archive would be too large ({begin} bytes, {len(kept)} members).", path=path)
-    for name in kept:
-        entry = changed.get(name, kept[name]).entry
-        out.write(entry[:_PLACE_AT] + struct.pack("<L", places[name]) + entry[_PLACE_AT + 4 :])
-    count, size = len(kept), out.tell() - begin
-    out.write(struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, count, count, size, begin, len(comment)) + comment)
-
-
-def _copy(member: _Member, out: BinaryIO) -> None:
-    member.file.seek(member.begin)
-    left = member.end - member.begin
-    while left and (block := member.file.read(min(left, BLOCK))):
+def _copy(source: BinaryIO, member: ZipInfo, end: int, new: ZipFile) -> None:
+    """Copy a member's record, which ends where the next one begins, without unpacking it."""
+    out = new.fp
+    assert out is not None
+    source.seek(member.header_offset)
+    left = end - member.header_offset
+    member.header_offset = out.tell()
+    while left and (block := source.read(min(left, BLOCK))):
         out.write(block)
         left -= len(block)
+    new.filelist.append(member)
+    new.NameToInfo[member.filename] = member
+    new.start_dir = out.tell()
+
+
+def _ends(archive: ZipFile) -> dict[int, int]:
+    """Return where each record ends, by its beginning."""
+    return dict(pairwise([*sorted(each.header_offset for each in archive.infolist()), archive.start_dir]))
