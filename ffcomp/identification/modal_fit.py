@@ -10,8 +10,8 @@ its height against the first one's and from the dip between them.
     minimise  Σ r²/v(ε),   v = (σ² + ε²|H|²)/2 of the real and the imaginary part,   v = ε² (1 + P/S) + σ² of ln S
 
 σ² is the noise, ε the model's own error, chosen for each file such that χ² has its expected value. A second mode is
-accepted only where the Bayesian information criterion is better, with correlated residuals counted as fewer, and
-where its frequency and its share are sharp.
+accepted only where the Bayesian information criterion is better, with correlated residuals counted as fewer, where
+its frequency and its share are sharp, and where the two are farther apart than they are wide.
 
 How much of the damping belts hold is not fitted. A share s multiplies each mode by 1 + 2i ζ_j s f/f_j, to first order a
 delay, which each response has of its own; the rest is about (2 ζ f/f_j)² s.
@@ -282,6 +282,9 @@ def _unclear(two: _Fit) -> str:
         return f"the share of the mode {where} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
     if max(sd[0], sd[2]) > CLEAR or not low < frequency < high or _modes(two)[:, 1].max() > BROADEST:
         return f"the one {where} is too uncertain or too broad to be a mode"
+    (first, second), dampings = _modes(two)[:, 0], _modes(two)[:, 1]
+    if abs(first - second) < dampings @ (first, second) / 2:  # of the mean half-power half-width
+        return f"the one {where} lies within the width of the other, so that the two cannot be separated"
     return ""
 
 

@@ -506,6 +506,9 @@ SENTENCES = {
     "give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both.",
     "deaf check": "No chip feels the motion along {axis}, and a check compares all axes: give the captures of both "
     "chips, on the toolhead and on the bed.",
+    "alike": "Its name {stem!r} holds none of the plan's experiments, as {first!r} does, and their motions do not tell "
+    "them apart: each excites one tower or axis in the same way. Give the capture the name of its experiment, as the "
+    "firmware writes it.",
     "unlike": "It does not fit the motion of {experiment} below 20 Hz: correlation {correlation:.2f}, and {least:g} is "
     "needed. It is of another motion (another plan, a speed factor, lower limits of the firmware, lost steps, a bump), "
     "of another machine, or of a sensor that is loose or not on the nozzle holder; or its axes are others than "

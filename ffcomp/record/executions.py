@@ -100,6 +100,8 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
         lasting = plan.capture_s(named[0])
         if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
             return [Execution(capture, *named, named[0].motion)]
+    if sum(each.excitation is not None for each in plan.experiments) > 1:
+        raise MeasurementError(capture.source, [fault("alike", stem=stem, first=run_name(plan.experiments[0].name, 1))])
     executed = _split(capture, plan, expected, taken)
     if not executed:
         first = run_name(plan.experiments[0].name, 1)

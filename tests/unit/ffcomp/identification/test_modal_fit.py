@@ -104,6 +104,14 @@ def test_a_second_mode_is_not_invented() -> None:
         assert len(found.modes) == 1 and "chance" in found.verdict
 
 
+def test_two_modes_nearer_than_they_are_wide_are_one() -> None:
+    """Two modes 0.1 Hz apart were written into a machine file: what differs from one mode is an error of the model."""
+    twins = np.array([[40.0, 0.03, 0.7], [40.1, 0.06, 0.3]])
+    found = fit_axis("x", [Response(response(twins, noise=1e-3, seed=1))])
+    assert len(found.modes) == 1 and "cannot be separated" in found.verdict
+    assert found.modes[0].frequency_hz.value == pytest.approx(40.0, rel=0.005)
+
+
 def test_intervals_hold_the_truth() -> None:
     """90 % of 10 are 9; 6 or fewer come by chance once in 80."""
     held = np.zeros(2)

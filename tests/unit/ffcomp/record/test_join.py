@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.errors import MeasurementError
 from ffcomp.record.axes import turn_of
+from ffcomp.record.excitation import ExcitationRequest, make_excitation_plan
 from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
@@ -135,6 +136,13 @@ def refused(bench: Bench, path: Path, turn: str | None = None) -> str:
     with pytest.raises(MeasurementError, match="^" + re.escape(f"{path}: ")):
         found.check()
     return " ".join(each.why for each in found.refused)
+
+
+def test_periodic_excitations_of_several_towers_need_the_names_of_their_captures(bench: Bench) -> None:
+    """Each tower is excited in the same way, and a sensor that is turned shows one as the other."""
+    periodic = make_excitation_plan(bench.machine, ExcitationRequest(period_s=2.0, periods=2))
+    found = join_captures([one(bench)], periodic, bench.machine)
+    assert not found.joined and "Give the capture the name" in found.refused[0].why
 
 
 def test_a_capture_of_another_motion_is_refused(bench: Bench, tmp_path: Path) -> None:
