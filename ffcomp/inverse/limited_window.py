@@ -20,10 +20,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from ffcomp.inverse.gains import segment_response
 from ffcomp.inverse.model import Iterate, KnotWindow
-from ffcomp.inverse.riccati import basis_response
 from models.arrays import FloatArray
-from models.vibration.scheduled import interpolate, models_along
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +74,19 @@ class WindowProblem:
         return response[: kept * s.substeps], states[kept]
 
     def phi(self) -> FloatArray:
-        """Φ (rows, 3 unknowns) with the models at the places of its intervals."""
-        model = self.iterate.model
-        table, place = model.row_table, self.stretch.place
-        a, b0, b1, _ = models_along(table, place)
-        j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
-        return basis_response(a, b0, b1, table.plant.carriage, j, self.unknowns, model.settings.rows_per_segment)
+        """Φ (rows, 3 unknowns) with the models at the places of its intervals; of γ the knot `at` is given."""
+        columns, end = 3 * self.unknowns, self.stretch.end - self.at
+        after, seen = segment_response(
+            *self.iterate.model.plant_at(self.stretch.place), self.iterate.model.settings.rows_per_segment
+        )
+        hats = np.zeros((end + 1, 3, columns))
+        hats[1 : self.unknowns + 1] = np.eye(columns).reshape(-1, 3, columns)
+        state, phi = np.zeros((after.shape[1], columns)), []
+        for k in range(end):
+            known = np.concatenate([state, hats[k], hats[k + 1]])
+            state, nozzle = after[k] @ known, seen[k] @ known
+            phi.append(nozzle)
+        return np.concatenate(phi)
 
     def step(self, matrix: FloatArray, left: FloatArray) -> FloatArray:
         """Return the change of γ, (3 unknowns,), that minimises ‖ left − matrix · change ‖ within the limits."""

@@ -1,4 +1,4 @@
-"""The preview inverse of a section: the gains of `riccati.py`, corrected by the scheduled plant's response.
+"""The preview inverse of a section: the gains of `gains.py`, corrected by the scheduled plant's response.
 
 A section is solved in windows. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are
 executed through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept
@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from ffcomp.inverse.model import Iterate, KnotWindow
-from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from models.arrays import FloatArray
 from models.compiled import kernel
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from ffcomp.inverse import disk_cache
 from ffcomp.inverse.command_limits import CommandLimits
+from ffcomp.inverse.gains import PreviewGains
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.riccati import PreviewGains
 from ffcomp.inverse.robust import Path, RobustReference
 from ffcomp.inverse.sensitivity import MARGIN, Sensitivity
 from ffcomp.inverse.settings import Settings, control_weight_at
@@ -176,7 +176,7 @@ class InverseModel:
         """The gains of the preview inverse."""
         reach = self.machine.kinematics.model_reach_mm
         states = self.row_table.plant.a.shape[1]
-        gains = PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
+        gains = PreviewGains(self.plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
         if arrays := self._cache.arrays:
             gains.take_up(arrays)
             self._cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
@@ -216,7 +216,7 @@ class InverseModel:
         disk_cache.save(cache.name, arrays)
         cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
 
-    def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
+    def plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """Return the plant for half a segment at positions (g, 2) mm, and the nozzle's Jacobian there."""
         step_s = self.settings.segment_s / self.settings.rows_per_segment
         p = self.row_table.plant

@@ -43,8 +43,8 @@ import numpy as np
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.feasible import SolvedSection
+from ffcomp.inverse.gains import REST_ROWS
 from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
-from ffcomp.inverse.riccati import REST_ROWS
 from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
 from models.compiled import kernel

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ffcomp.firmware.program import plan_program
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
+from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, PreviewGains, SegmentPlant
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, PreviewGains, SegmentPlant
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.limits import planner_limits
@@ -24,7 +24,7 @@ from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.scheduled import interpolate, models_along
+from models.vibration.scheduled import models_along
 from tests.support.exact_inverse import FreeWindow, next_window, solve_exactly
 
 FloatArray = NDArray[np.float64]
@@ -74,9 +74,7 @@ def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: InverseM
     window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
     phi, place = window.phi(), window.stretch.place
     rows = SETTINGS.rows_per_segment
-    models = models_along(inverter.row_table, place)
-    table = inverter.row_table
-    j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
+    models, j = models_along(inverter.row_table, place), machine.kinematics.jacobian(place)
     for unknown, carriage in ((0, 0), (7, 2), (window.unknowns - 1, 1)):
         command = np.zeros((len(place) * rows + 1, 3))
         knot = (unknown + 1) * rows
