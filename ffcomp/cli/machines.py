@@ -20,7 +20,7 @@ from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
-    from models.checks import Extreme, PhysicsChecks, Quantity
+    from models.checks import Extreme, PhysicsChecks
     from models.errors import MachineFileError
     from models.file import Difference, Entry
     from models.finding import NamedMachine
@@ -124,9 +124,9 @@ class ShownMachine(Result):
 
 @verb
 def check_machine(request: MachineRequest) -> Result:
-    """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
+    """Check a machine file: mistakes, stability and passivity."""
     from ffcomp.importers.builder import still_assumed
-    from models.checks import check_physics, redundancy_problems, redundant_quantities, unstable_positions
+    from models.checks import check_physics, unstable_positions
     from models.file import load_plant
 
     loaded = load_plant(request.machine)
@@ -134,9 +134,8 @@ def check_machine(request: MachineRequest) -> Result:
     notes = [*filter(None, [loaded.assumed]), *still_assumed(loaded.provenance, loaded.flavor)]
     if not loaded.vibration.position_dependent:  # modes of straight axes: no forces, so no energy to account for
         return CheckedMachine(loaded, problems, notes)
-    disagreements, sound = redundancy_problems(loaded), check_physics(loaded)
-    notes = [*disagreements, *_energy_notes(loaded, sound), *notes]
-    return CheckedMachine(loaded, problems, notes, redundant_quantities(loaded), sound, len(disagreements))
+    sound = check_physics(loaded)
+    return CheckedMachine(loaded, problems, [*_energy_notes(loaded, sound), *notes], sound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,14 +144,12 @@ class CheckedMachine(Result):
 
     title = "Check of a machine file"
     schema = "ffcomp-machine-check/1"
-    json_keys: ClassVar = keys("machine", "problems", "notes", "consistency", "soundness")
+    json_keys: ClassVar = keys("machine", "problems", "notes", "soundness")
 
     machine: Machine
     problems: Sequence[str]
     notes: Sequence[str]
-    consistency: Sequence[Quantity] = ()  # of deltas
     soundness: PhysicsChecks | None = None  # of deltas
-    disagreements: int = 0
 
     @property
     def headline(self) -> str:
@@ -161,20 +158,18 @@ class CheckedMachine(Result):
             return f"{self.machine.name}: the file cannot be used."
         if self.soundness is None:
             return f"{self.machine.name}: the file is valid, and its vibrations decay."
-        count = self.disagreements
-        agreement = f"{count} numbers disagree with measured ones" if count else "no numbers disagree"
         energy = "it generates no energy" if self.soundness.is_passive else "it can generate energy"
-        return f"{self.machine.name}: the file is valid, its vibrations decay all over the bed, {energy}, {agreement}."
+        return f"{self.machine.name}: the file is valid, its vibrations decay all over the bed, and {energy}."
 
     @property
     def facts(self) -> list[Fact]:
-        """Each number that can be had in more than one way, and the model's worst values over the bed."""
-        facts = []
-        for quantity in self.consistency:
-            ways = [f"{quantity.of_file:.4g} in the file ({quantity.the_file_uses})"]
-            ways += [f"{way.value:.4g} ({100 * way.difference:+z.1f} %) by {way.equation}" for way in quantity.others]
-            facts.append((f"{quantity.key}, {quantity.unit}", "; ".join(ways)))
-        return facts if self.soundness is None else [*facts, *_soundness_facts(self.soundness)]
+        """The model's worst values over the bed."""
+        if (sound := self.soundness) is None:
+            return []
+        return [
+            ("Slowest decay", f"{sound.growth_per_s.value:.1f} 1/s at {_where(sound.growth_per_s)}"),
+            ("Passive: smallest dissipation", f"{_percent(sound.dissipation)} at {_where(sound.dissipation)}"),
+        ]
 
     @property
     def warnings(self) -> Sequence[str]:
@@ -224,17 +219,6 @@ def new_machine(request: NewMachineRequest) -> None:
     print(path)
 
 
-def _soundness_facts(sound: PhysicsChecks) -> list[Fact]:
-    load = f"{sound.least_load.value:.3f} to {sound.most_load.value:.3f}"
-    return [
-        ("Slowest decay", f"{sound.growth_per_s.value:.1f} 1/s at {_where(sound.growth_per_s)}"),
-        ("Passive: smallest dissipation", f"{_percent(sound.dissipation)} at {_where(sound.dissipation)}"),
-        ("Reciprocal: largest skew part of Y", f"{_percent(sound.asymmetry)} at {_where(sound.asymmetry)}"),
-        ("Largest skew part of the load", f"{_percent(sound.load_asymmetry)} at {_where(sound.load_asymmetry)}"),
-        ("Load against virtual work's", f"{load} at {_where(sound.least_load)} and {_where(sound.most_load)}"),
-    ]
-
-
 def _percent(extreme: Extreme) -> str:
     return f"{100 * extreme.value:.2g} %"
 
@@ -248,20 +232,13 @@ def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
     """Describe the energy that the force map creates; none by virtual work."""
     from models.kinds import delta_vibration
 
-    force_map, notes = f"The force map {delta_vibration(machine).effector.force_map!r}", []
-    if not sound.is_reciprocal:
-        notes.append(
-            f"{force_map} is not reciprocal: the skew part of the carriages' receptance is up to "
-            f"{_percent(sound.asymmetry)} of it, at {_where(sound.asymmetry)}; the carriages feel "
-            f"{sound.least_load.value:.2f} to {sound.most_load.value:.2f} of the effector that virtual work gives them."
-        )
-    if not sound.is_passive:
-        notes.append(
-            f"{force_map} is not passive: at {_where(sound.dissipation)} a force can get out up to "
-            f"{_percent(replace(sound.dissipation, value=-sound.dissipation.value))} of the power it moves, "
-            "from nowhere; compensate with 'virtual_work'."
-        )
-    return notes
+    if sound.is_passive:
+        return []
+    power = _percent(replace(sound.dissipation, value=-sound.dissipation.value))
+    return [
+        f"The force map {delta_vibration(machine).effector.force_map!r} is not passive: at {_where(sound.dissipation)} "
+        f"a force can get out up to {power} of the power it moves, from nowhere; compensate with 'virtual_work'."
+    ]
 
 
 def _instability(places: FloatArray) -> list[str]:

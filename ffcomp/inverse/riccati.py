@@ -52,7 +52,7 @@ class LinearQuadratic:
         g = self.b @ np.linalg.solve(self.r, transposed(self.b))
         size = a.shape[-1]
         eye = np.eye(size)
-        for _ in range(DOUBLINGS):  # a: what is left of a state after 1, 2, 4, … steps
+        for _ in range(DOUBLINGS):  # a: the remainder of a state after 1, 2, 4, … steps
             solved = np.linalg.solve(eye + g @ h, np.concatenate([a, g @ transposed(a)], axis=-1))
             ahead, spread = solved[..., :size], solved[..., size:]
             h = h + transposed(a) @ h @ ahead
