@@ -18,8 +18,7 @@ import numpy as np
 from ffcomp.diagnosis.problem import REACH_SD, Candidate, Parameter
 from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, with_effects
-from models.effects.effect import AT_DRIVE, Effect, MotionScales
-from models.effects.effect import Parameter as EffectParameter
+from models.effects.effect import AT_DRIVE, Effect, EffectParameter, MotionScales
 from models.kinds import driven_axis
 from models.machine import Machine, value_of, with_values
 from models.printer.one_axis import axis_effects

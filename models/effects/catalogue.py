@@ -49,7 +49,7 @@ def key_in_file(effect: str, key: str, quantities: Quantities) -> str:
 
 
 def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
-    """Return the parameters of one effect of a machine as arrays (see `Parameter.as_array`); None if it is absent.
+    """Return the parameters of a machine's effect as arrays (see `EffectParameter.as_array`); None if it is absent.
 
     A missing amplitude has its neutral value, a missing shape its default. An effect without any amplitude is
     absent.

@@ -56,7 +56,7 @@ class OnAxis:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class EffectParameter:
     """One key of `[effects.name]`.
 
     The response to an amplitude grows as `value ** power` while small, and is zero at `neutral`. Every other parameter
@@ -78,7 +78,7 @@ class Parameter:
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
     on_axis: OnAxis = OnAxis()
 
-    def on(self, quantities: Quantities, meaning: str) -> Parameter:
+    def on(self, quantities: Quantities, meaning: str) -> EffectParameter:
         """Return the parameter with the keys, units and numbers of an axis, for display only."""
         scale = quantities.scale(self.name)
         low, high = self.typical
@@ -146,13 +146,13 @@ def amplitude(
     probe: float,
     size: Size = "scalar",
     **more: Any,
-) -> Parameter:
+) -> EffectParameter:
     """Declare an amplitude; `more` may have fields of `OnAxis`, and a `unit` where the name has none."""
     on_axis = {key: more.pop(key) for key in OnAxis.__dataclass_fields__ if key in more}
     unit = more.pop("unit", PLAIN.unit_of(name))
     if on_axis:
         more["on_axis"] = OnAxis(**on_axis)
-    return Parameter(name, unit, meaning, bounds, typical, probe, size, **more)
+    return EffectParameter(name, unit, meaning, bounds, typical, probe, size, **more)
 
 
 shape = partial(amplitude, role="shape")  # declares a shape in the same way
@@ -204,7 +204,7 @@ class Effect:
     kind: Kind
     physics: str
     equation: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[EffectParameter, ...]
     in_data: str  # its signature
     # confounded effect, or machine parameter -> how to separate them
     confounded_with: Mapping[str, str] = field(default_factory=dict)
@@ -212,8 +212,8 @@ class Effect:
     fold: Callable[[Machine, Values], Machine] | None = None
     measure: Callable[[Signals, Values], Signals] | None = None
     terms: Callable[[Values, Terms], Terms] | None = None  # from its values and the printer's terms so far
-    of_axis: tuple[Parameter, ...] = ()  # shapes of an axis by itself only
-    of_printers: tuple[Parameter, ...] = ()  # shapes of printers only
+    of_axis: tuple[EffectParameter, ...] = ()  # shapes of an axis by itself only
+    of_printers: tuple[EffectParameter, ...] = ()  # shapes of printers only
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
     # how far positions must be apart along x, y, z, over all recordings, to identify it
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -231,22 +231,22 @@ class Effect:
         """What laws of one cause share; of any other effect its own name."""
         return self.law_of or self.name
 
-    def parameter(self, name: str) -> Parameter:
+    def parameter(self, name: str) -> EffectParameter:
         """Return the parameter of that name; KeyError if there is none."""
         return self.by_name[name]
 
     @cached_property
-    def by_name(self) -> dict[str, Parameter]:
+    def by_name(self) -> dict[str, EffectParameter]:
         """All parameters by name, those of an axis by itself or of printers only too."""
         return {parameter.name: parameter for parameter in (*self.parameters, *self.of_printers, *self.of_axis)}
 
     @cached_property
-    def amplitudes(self) -> tuple[Parameter, ...]:
+    def amplitudes(self) -> tuple[EffectParameter, ...]:
         """The parameters that make the effect."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "amplitude")
 
     @cached_property
-    def shapes(self) -> tuple[Parameter, ...]:
+    def shapes(self) -> tuple[EffectParameter, ...]:
         """All other parameters."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")
 
@@ -254,7 +254,7 @@ class Effect:
         """Return the effect with the words, keys and units of one axis by itself."""
         words = self.axis_words or AxisWords(self.title, self.physics, self.remedy, self.confounded_with)
 
-        def in_words(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+        def in_words(parameters: Sequence[EffectParameter]) -> tuple[EffectParameter, ...]:
             return tuple(p.on(quantities, words.meanings.get(p.name, p.meaning)) for p in parameters)
 
         said = {key: getattr(words, key) for key in ("title", "physics", "remedy", "confounded_with")}

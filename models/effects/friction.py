@@ -12,8 +12,8 @@ from models.effects.effect import (
     USUAL_SHARE,
     AxisWords,
     Effect,
+    EffectParameter,
     OnAxis,
-    Parameter,
     Size,
     Terms,
     Values,
@@ -36,7 +36,7 @@ PRESLIDING = shape(
 )
 
 
-def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
+def reversal_parameters(size: Size) -> tuple[EffectParameter, EffectParameter]:
     """Declare v₀ and κ of F = ℓ tanh(v/v₀ + φ) (`models/printer/kernels`), optional in a machine file."""
     creep, hold = "v₀: well below this, friction falls with speed", "κ: how quickly friction locks at rest; 0: never"
     optional = partial(shape, size=size, logarithmic=True)

@@ -40,7 +40,7 @@ class Modes:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ModelParameter:
     """One number of a vibration model.
 
     `column` is which of a draw's normal deviates moves it: parameters of one column move together. Its relative
@@ -58,10 +58,10 @@ class Parameter:
 class ParameterSet:
     """The parameters of a model by name, in a fixed order."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     columns: int  # normal deviates of a draw
 
-    def __iter__(self) -> Iterator[Parameter]:
+    def __iter__(self) -> Iterator[ModelParameter]:
         return iter(self.parameters)
 
     def __len__(self) -> int:

@@ -40,7 +40,7 @@ from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.vibration import substructures as sub
-from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
+from models.vibration.base import ModelParameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
 from models.vibration.state_space import StateSpace
 from models.vibration.substructures import Carriage, Drive, Effector
 
@@ -104,7 +104,7 @@ class DeltaVibration(VibrationModel):
         for key in self.tunable:  # three numbers, where an effect has made towers differ
             several = np.ndim(getattr(self.carriage, key.removeprefix("carriage."), 0.0)) > 0
             names += [f"{key}[{i}]" for i in range(3)] if several else [key]
-        each = (Parameter(name, self.value(name), i, name.partition("[")[0]) for i, name in enumerate(names))
+        each = (ModelParameter(name, self.value(name), i, name.partition("[")[0]) for i, name in enumerate(names))
         return ParameterSet(tuple(each), len(names))
 
     def value(self, name: str) -> float:

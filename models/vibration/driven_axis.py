@@ -23,7 +23,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.quantities import Quantities
-from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
+from models.vibration.base import ModelParameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
 from models.vibration.state_space import StateSpace
 
 PREFIX = "axis."
@@ -173,7 +173,9 @@ class DrivenAxis(VibrationModel):
 
     def parameters(self) -> ParameterSet:
         """Return the numbers that decide how the axis moves."""
-        each = [Parameter(key, self.value(key), TUNABLE.index(key.removeprefix(PREFIX)), key) for key in self.tunable]
+        each = [
+            ModelParameter(key, self.value(key), TUNABLE.index(key.removeprefix(PREFIX)), key) for key in self.tunable
+        ]
         return ParameterSet(tuple(each), len(TUNABLE))
 
     def value(self, name: str) -> float:

@@ -24,7 +24,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
-from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.base import ModelParameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.state_space import StateSpace
 
 RIGID_HZ, RIGID_DAMPING = 1500.0, 1.1
@@ -146,7 +146,7 @@ class ModalAxes(VibrationModel):
     def parameters(self) -> ParameterSet:
         """Return the uncertain numbers of the model; the geometry is calibrated and not among them."""
         parameters = [
-            Parameter(
+            ModelParameter(
                 f"axes.{AXES[axis]}.{kind}[{i}]", getattr(mode, kind), _column(axis, i, known), *_of_file(axis, known)
             )
             for axis, i, mode in self._each()

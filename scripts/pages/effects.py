@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.effects.catalogue import CATALOGUE, effective_machine, effects_of_printers, measured, with_effect
-from models.effects.effect import Effect, Parameter
+from models.effects.effect import Effect, EffectParameter
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
@@ -403,7 +403,7 @@ def shown(effect: Effect) -> Shown:
     return Shown(values, effect.in_data, (trace(HARD, "acc_A", 0.03, 0.3, "a hard move"), response("x", "acc_x")))
 
 
-def _usual(p: Parameter) -> Any:
+def _usual(p: EffectParameter) -> Any:
     if p.size == "direction":
         return "both"
     value = sum(p.typical) / 2 if p.role == "shape" else p.typical[p.power > 0]
@@ -536,7 +536,7 @@ def _table(effect: Effect) -> str:
     return "\n".join(rows)
 
 
-def _row(p: Parameter) -> str:
+def _row(p: EffectParameter) -> str:
     optional = "" if p.default is None else f" (if left out: {p.default:g})"
     spans = ["a unit vector"] * 2 if p.size == "direction" else [_span(p.bounds), _span(p.typical)]
     return f"| `{p.name}` | {p.unit or '-'} | {p.meaning}{optional} | {' | '.join(spans)} | {SIZES[p.size]} |"

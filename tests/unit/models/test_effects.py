@@ -19,7 +19,7 @@ from models.effects.catalogue import (
     values_of,
     with_effect,
 )
-from models.effects.effect import Effect, Parameter, Signals
+from models.effects.effect import Effect, EffectParameter, Signals
 from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import Machine, value_of
@@ -90,7 +90,7 @@ def test_kind_and_hooks_agree(effect: Effect) -> None:
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS)
-def test_ranges_are_in_order(parameter: Parameter) -> None:
+def test_ranges_are_in_order(parameter: EffectParameter) -> None:
     assert parameter.bounds[0] <= parameter.typical[0] < parameter.typical[1] <= parameter.bounds[1]
     assert 0 < parameter.probe <= parameter.typical[1]
     if parameter.role == "amplitude":
