@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ffcomp.api.machines import load_machine
 from ffcomp.errors import RequestError, missing_extras_explained
-from ffcomp.identification.frf_study import NumberedMode, Study, View, frf_json, study, verdict, view_of
+from ffcomp.identification.frf_study import Bode, NumberedMode, Station, Study, View, bodes, study, verdict, view_of
 from ffcomp.identification.request import FrfRequest
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from ffcomp.request import function
 from ffcomp.result import Fact, Result
 from models.arrays import ComplexArray, FloatArray
 from models.errors import UnreachableError
+from models.kinds import delta_vibration
 from models.machine import Machine
 
 
@@ -27,6 +28,19 @@ class FrequencyResponses(Result):
     """Frequency responses of a machine at some positions: carriages A B C or nozzle axes X Y Z, as was requested."""
 
     title = "Frequency responses"
+    schema = "ffcomp-frf/1"
+    json_keys: ClassVar = keys("machine", "force_map", "position_mm", "frequency_hz", "verdict") | {
+        "carriage": "carriages",
+        "response.of": "study.view.of",
+        "response.per": "per",
+        "response.unit": "study.view.unit",
+        "response.rows": "study.view.rows",
+        "response.columns": "study.view.columns",
+        "response.values": "requested",
+        "added_mass_kg": "station.added_mass_kg",
+        "modes": "station.modes",
+        "measured": "station.compared",
+    }
     drawn_by: ClassVar = {"bode": "ffcomp.report.model:figure_of"}
 
     machine: Machine
@@ -37,11 +51,12 @@ class FrequencyResponses(Result):
     columns: tuple[str, ...]  # and of the inputs
     study: Study
     full: bool = False  # in the figure: all nine responses, not only the diagonal
+    number: int = 0  # of the position that the JSON object is of
 
     @property
     def headline(self) -> str:
         """Where the machine resonates, or how well it agrees with the measurement."""
-        return f"{self.machine.name}: {verdict(self.study)}"
+        return f"{self.machine.name}: {self.verdict}"
 
     @property
     def facts(self) -> list[Fact]:
@@ -53,14 +68,46 @@ class FrequencyResponses(Result):
         """Measured responses that are left out."""
         return self.study.left_out
 
+    @property
+    def station(self) -> Station:
+        """The position that the JSON object is of."""
+        return self.study.stations[self.number]
+
+    @property
+    def position_mm(self) -> tuple[float, float, float]:
+        """Its place."""
+        return (*self.station.xy.tolist(), 0.0)
+
+    @property
+    def force_map(self) -> str | None:
+        """How a delta's forces are shared; None of other machines."""
+        if not self.machine.vibration.position_dependent:
+            return None
+        return delta_vibration(self.machine).effector.force_map
+
+    @property
+    def per(self) -> str | None:
+        """The input; None of a part by itself."""
+        return self.study.view.per if self.study.view.depends_on_place else None
+
+    @property
+    def requested(self) -> list[list[Bode]]:
+        """The requested responses there."""
+        return bodes(self.station.value)
+
+    @property
+    def carriages(self) -> list[list[Bode]]:
+        """Those of the carriages (Eq. 29) there."""
+        return bodes(self.station.carriage)
+
+    @property
+    def verdict(self) -> str:
+        """All of it in a sentence."""
+        return verdict(self.study)
+
     def objects(self) -> list[dict[str, Any]]:
         """Return an object ffcomp-frf/1 for each position."""
-        told = to_json(self.answer)
-        return [{**frf_json(self.study, each), "answer": told} for each in self.study.stations]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the object ffcomp-frf/1 of the first position; `objects` has them all."""
-        return self.objects()[0]
+        return [replace(self, number=number).to_dict() for number in range(len(self.study.stations))]
 
     @missing_extras_explained()
     def to_control(self) -> list[Any]:

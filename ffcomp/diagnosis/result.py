@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of
 from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.diagnosis.where import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.identification.uncertainty import Estimate
+from ffcomp.numerics.serialise import ALL_OF, keys
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
 
@@ -40,6 +41,12 @@ class Gap:
     left_out: str = "places"  # left out of the fit in turn: places, experiments, windows, or nothing ("")
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
     noise_guessed: bool = False  # no motion was repeated, and no sensor shows its own
+
+    json_keys: ClassVar = keys("noise", before="before.nrms", after="after.nrms") | {
+        "held_out.before": "elsewhere.0",
+        "held_out.after": "elsewhere.1",
+        "held_out.noise": "noise",
+    }
 
     @property
     def noise(self) -> float:
@@ -70,12 +77,22 @@ def _explained(before: float, after: float, noise: float) -> float:
     return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A number of the machine file, and what fits."""
+
+    json_keys: ClassVar = {"from": "filed", "to": "fitted"}
+
+    filed: float
+    fitted: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class FileNumbers:
     """Changes of the machine file's own numbers."""
 
-    retuned: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # from, to
-    off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # those that alone would explain as much
+    retuned: Mapping[str, Change] = field(default_factory=dict)
+    off: Mapping[str, Change] = field(default_factory=dict)  # those that alone would explain as much
     beyond: Mapping[str, float] = field(default_factory=dict)  # retuned by so many of their uncertainties
 
 
@@ -88,9 +105,69 @@ class Rest:
     rivals: Sequence[tuple[tuple[str, ...], float]] = ()  # effects of other families, and what they explain there
 
 
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A parameter in the machine file's terms, with its 90 % interval; lists where the file has lists."""
+
+    value: Any
+    low: Any
+    high: Any
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEffect:
+    """An effect that is named."""
+
+    name: str
+    family: str  # what it is, whatever its law; or its name
+    parameters: Mapping[str, Interval]  # by the machine file's key
+    confidence: float
+    evidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Dominant:
+    """An effect that is named with a rest."""
+
+    json_keys: ClassVar = {ALL_OF: "effect"} | keys(explained="rest.explained", left="rest.left", rivals="rest.rivals")
+
+    effect: FoundEffect
+    rest: Rest
+
+
+@dataclass(frozen=True, slots=True)
+class Confusable:
+    """An effect that looks alike in these runs."""
+
+    name: str
+    separate_by: str  # how to separate them
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """What came nearest, and why it does not explain all."""
+
+    effects: Sequence[str]
+    because: Sequence[str]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DiagnosisResult:
     """The contents of the answer and of the better machine file."""
+
+    json_keys: ClassVar = keys(
+        *("verdict", "finding", "dominant", "undetermined", "refused", "invisible", "late_s", "cut_short", "gap"),
+        effects="found",
+        residual_curves="curves",
+        retuned="file.retuned",
+        separate="separations",
+        confusable_with="confounded_with",
+        left_out="gap.left_out",
+        unproven_at="gap.unproven",
+        or_file_off="file.off",
+        other_motions="others",
+        compared="compared_kind",
+    )
 
     verdict: str  # "effects", "none" or "unknown"
     finding: str  # the verdict more closely, see diagnosis.FINDINGS
@@ -102,7 +179,7 @@ class DiagnosisResult:
     others: Sequence[OtherMotion] = ()  # motions of an axis, each simulated with what was fitted to the others
     rejections: Sequence[str] = ()
     invisible: Sequence[str] = ()  # effects whose usual size the recordings could not show
-    confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to separate them
+    confounded_with: Sequence[Confusable] = ()
     separations: Sequence[Separation] = ()  # from what fits as well
     prints_worse: bool = False  # by the better file, as the sample print is predicted
     gap: Gap
@@ -123,6 +200,31 @@ class DiagnosisResult:
         return "the drive's forces" if self.forces else "the signals"
 
     @property
+    def compared_kind(self) -> str:
+        """The same in a word."""
+        return "forces" if self.forces else "signals"
+
+    @property
+    def found(self) -> list[FoundEffect]:
+        """The effects, where the verdict is that they are missing."""
+        return [self.effect(name) for name in self.effects] if self.verdict == "effects" else []
+
+    @property
+    def dominant(self) -> Dominant | None:
+        """The effect that is named with a rest."""
+        return None if self.rest is None else Dominant(self.effect(self.named[0]), self.rest)
+
+    @property
+    def refused(self) -> Nearest | None:
+        """What came nearest, if anything speaks against it."""
+        return Nearest([*self.effects], self.rejections) if self.rejections else None
+
+    def effect(self, name: str) -> FoundEffect:
+        """Return one of the effects."""
+        family = CATALOGUE[name].family or name
+        return FoundEffect(name, family, self.parameters(name), self.confidence[name], self.evidence)
+
+    @property
     def named(self) -> tuple[str, ...]:
         """The effects that are named: all there are, or the one that holds most of the gap."""
         return tuple(self.effects) if self.verdict == "effects" or self.rest is not None else ()
@@ -134,7 +236,7 @@ class DiagnosisResult:
             return bool(self.named)
         return not self.late_s and bool(self.gap.left_out) and self.gap.closed
 
-    def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
+    def parameters(self, effect: str) -> dict[str, Interval]:
         """Return value, low and high of one effect by the machine file's keys; lists where the file has lists."""
         prefix, estimates = f"effects.{effect}.", dict[str, dict[int, Estimate]]()
         for name, e in self.intervals.items():
@@ -143,10 +245,9 @@ class DiagnosisResult:
                 estimates.setdefault(key, {})[int(index or 0)] = e
         quantities = self.names.quantities
         return {
-            key_in_file(effect, key, quantities): {
-                what: quantities.value(key, number)
-                for what, number in _in_file(effect, key, each, self.effects[effect][key]).items()
-            }
+            key_in_file(effect, key, quantities): Interval(
+                *(quantities.value(key, number) for number in _in_file(effect, key, each, self.effects[effect][key]))
+            )
             for key, each in estimates.items()
             if key != WHOLE
         }
@@ -165,7 +266,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
     key = problem.names.quantities.key
     dominant, noise = diagnosis.dominant, before.total.noise_nrms
     moved = [
-        (n.name, float(z), (n.start, problem.stated(fitted.values, n.name)))
+        (n.name, float(z), Change(n.start, problem.stated(fitted.values, n.name)))
         for n, z in zip(fitted.parameters, fitted.z, strict=True)
         if of_machine(n.name)
     ]
@@ -181,7 +282,8 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         rejections=[problem.names.quantities.sentence(each) for each in diagnosis.rejections],
         invisible=diagnosis.invisible,
         confounded_with=[
-            (n, separated_by(tuple(tables), [n], catalogue) or f"Runs at {more}.") for n in diagnosis.confounded
+            Confusable(n, separated_by(tuple(tables), [n], catalogue) or f"Runs at {more}.")
+            for n in diagnosis.confounded
         ],
         gap=Gap(
             before=before.total,
@@ -257,11 +359,11 @@ def _lag(problem: Problem, i: int, signal: str) -> float:
     return next(lags, 0.0)
 
 
-def _off(fitted: Fit) -> dict[str, tuple[float, float]]:
+def _off(fitted: Fit) -> dict[str, Change]:
     """Return the machine's numbers that would have to be wrong instead, those that move most first."""
     moved = sorted(zip(fitted.parameters, fitted.z, strict=True), key=lambda each: -abs(each[1]))
     numbers = [(n, fitted.values[n.name]) for n, _ in moved if of_machine(n.name) and n.start]
-    return {n.name: (n.start, x) for n, x in numbers if abs(x / n.start - 1) > OFF_SHARE}
+    return {n.name: Change(n.start, x) for n, x in numbers if abs(x / n.start - 1) > OFF_SHARE}
 
 
 def _confidence(diagnosis: Diagnosis, effect: str) -> float:
@@ -290,7 +392,7 @@ def _in_file_terms(name: str, e: Estimate) -> Estimate:
     return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
 
 
-def _in_file(effect: str, key: str, estimates: Mapping[int, Estimate], table: Any) -> dict[str, Any]:
+def _in_file(effect: str, key: str, estimates: Mapping[int, Estimate], table: Any) -> tuple[Any, Any, Any]:
     """Return value, low and high of one key.
 
     Parameters
@@ -302,19 +404,19 @@ def _in_file(effect: str, key: str, estimates: Mapping[int, Estimate], table: An
         first = estimates[0]
         ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (first.low, first.high)]
         low, high = (table, table) if isinstance(table, str) else ends
-        return {"value": table, "low": low, "high": high}
+        return table, low, high
     told = table if isinstance(table, list) else [table]  # actuators that rested in all recordings have no estimate
-    each = {
-        what: [float(getattr(estimates[i], what)) if i in estimates else x for i, x in enumerate(told)]
+    value, low, high = (
+        [float(getattr(estimates[i], what)) if i in estimates else x for i, x in enumerate(told)]
         for what in ("value", "low", "high")
-    }
-    return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
+    )
+    return (value, low, high) if len(value) > 1 else (value[0], low[0], high[0])
 
 
 def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence[str], when: str) -> str:
     """Write the machine file with the named effects, the retuned parameters and their provenance; comments survive."""
     quantities = result.names.quantities
-    values: dict[str, Any] = {key: float(f"{to:.6g}") for key, (_, to) in result.file.retuned.items()}
+    values: dict[str, Any] = {key: float(f"{each.fitted:.6g}") for key, each in result.file.retuned.items()}
     for effect, table in result.effects.items():
         if not table:
             values[f"effects.{effect}"] = {}

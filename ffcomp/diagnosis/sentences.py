@@ -151,7 +151,9 @@ def file_off(result: DiagnosisResult) -> list[str]:
     if not result.file.off:
         return []
     weigh = "Measure one of them by itself, and" if result.gap.left_out == "windows" else "Weigh what moves, and"
-    off = [f"{key} by {100 * (to / start - 1):+.0f} %" for key, (start, to) in list(result.file.off.items())[:FEW]]
+    off = [
+        f"{key} by {100 * (each.fitted / each.filed - 1):+.0f} %" for key, each in list(result.file.off.items())[:FEW]
+    ]
     return [
         f"Or the machine file's own numbers are off: {joined(off)} would explain as much. {weigh} state in the "
         "file's [uncertainty] how well its numbers are known."
@@ -174,8 +176,8 @@ def _beyond(result: DiagnosisResult) -> list[str]:
     if not result.file.beyond:
         return []
     each = [
-        f"{name} by {times:.1f} times its uncertainty ({result.file.retuned[name][0]:.4g} in the file, "
-        f"{result.file.retuned[name][1]:.4g} fits)"
+        f"{name} by {times:.1f} times its uncertainty ({result.file.retuned[name].filed:.4g} in the file, "
+        f"{result.file.retuned[name].fitted:.4g} fits)"
         for name, times in list(result.file.beyond.items())[:FEW]
     ]
     return [

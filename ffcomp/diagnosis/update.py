@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from ffcomp.identification.page_fit import SCALE
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.measurement.recording import Recording
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Progress, Stage
 from ffcomp.record.axes import turn_of
 from ffcomp.record.join import load_recordings
@@ -67,6 +67,17 @@ CHANCE = 0.02  # of the squares of what is left of layers that were left out: no
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Updated(Result):
     """A machine file's numbers before and after some recordings."""
+
+    schema = SCHEMA
+    json_keys: ClassVar = keys("date", "data", "layers", "prints", "drift", "numbers", "kept", machine="start") | {
+        "innovation.chi_squared": "innovation.0",
+        "innovation.degrees_of_freedom": "innovation.1",
+        "innovation.probability": "innovation.2",
+        "held_out.before": "held_out.0",
+        "held_out.after": "held_out.1",
+        "held_out.noise": "held_out.2",
+        **keys("output", "written_sha256", "history"),
+    }
 
     start: Machine
     before: Mapping[str, Estimate]  # the prior, drift included
@@ -123,29 +134,25 @@ class Updated(Result):
         name = output.stem if source.resolve().parent == LIBRARY.resolve() else None
         return updated_text(source, values, name=name, uncertainty=uncertainty, provenance={"updated": entry})
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-update/1, which are a line of the history too."""
+    @property
+    def numbers(self) -> dict[str, UpdatedNumber]:
+        """The numbers that the recordings determine."""
+        return {key: UpdatedNumber(self.before[key], each, self.beside[key]) for key, each in self.after.items()}
+
+    @property
+    def written_sha256(self) -> str:
+        """Of the machine file."""
         assert self.output is not None
-        (chi_squared, degrees, probability), before = self.innovation, to_json(self.before)
-        return {
-            "schema": SCHEMA,
-            "date": self.date,
-            "machine": to_json(self.start),
-            "data": list(self.data),
-            "layers": self.layers,
-            "prints": self.prints,
-            "drift": self.drift,
-            "numbers": {
-                key: {"before": before[key], "after": each, "given_others": self.beside[key]}
-                for key, each in to_json(self.after).items()
-            },
-            "kept": list(self.kept),
-            "innovation": {"chi_squared": chi_squared, "degrees_of_freedom": degrees, "probability": probability},
-            "held_out": {"before": self.held_out[0], "after": self.held_out[1], "noise": self.held_out[2]},
-            "output": str(self.output),
-            "written_sha256": hashlib.sha256(self.file_text(self.output).encode()).hexdigest(),
-            "history": str(self.history),
-        }
+        return hashlib.sha256(self.file_text(self.output).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class UpdatedNumber:
+    """A number before and after."""
+
+    before: Estimate  # the prior, drift included
+    after: Estimate
+    given_others: float  # relative standard deviation, the other numbers being given
 
 
 def update_files(request: UpdateRequest, progress: Progress = lambda _: None) -> Updated:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import date
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
@@ -28,7 +28,7 @@ from ffcomp.diagnosis.words import digits
 from ffcomp.errors import FfcompError
 from ffcomp.identification.machine_fit import hash_of
 from ffcomp.inverse.model import GEOMETRY
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
 from ffcomp.result import Fact
@@ -54,6 +54,10 @@ class Diagnosis(Answered):
     output : the improved machine file; None: not written
     """
 
+    schema = "ffcomp-diagnose/1"
+    json_keys: ClassVar = keys("said", "print_gain", "seconds", to_do="next_steps", machine="output") | {
+        ALL_OF: "result"
+    }
     page_by = "ffcomp.report.diagnose:page_of"
 
     result: DiagnosisResult
@@ -72,14 +76,14 @@ class Diagnosis(Answered):
     @property
     def headline(self) -> str:
         """The finding."""
-        return summary_sentences(self.result)[0]
+        return self.said[0]
 
     @property
     def facts(self) -> list[Fact]:
         """The effects' parameters, the gap before and after, and what was written."""
         result, gap, gain = self.result, self.result.gap, self.print_gain
         facts = [
-            (f"{name}.{key}", f"{_digits(e['value'])} (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
+            (f"{name}.{key}", f"{_digits(e.value)} (90 %: {_digits(e.low)} to {_digits(e.high)})")
             for name in result.named
             for key, e in result.parameters(name).items()
         ]
@@ -95,9 +99,9 @@ class Diagnosis(Answered):
     def warnings(self) -> list[str]:
         """The basis of the finding, and its limits."""
         result = self.result
-        alike = [f"Looks alike: {name}. To separate them: {how}" for name, how in result.confounded_with]
+        alike = [f"Looks alike: {each.name}. To separate them: {each.separate_by}" for each in result.confounded_with]
         hidden = [f"These runs could not show: {', '.join(result.invisible)}."] if result.invisible else []
-        return [*summary_sentences(result)[1:], *(alike if result.named else ()), *hidden]
+        return [*self.said[1:], *(alike if result.named else ()), *hidden]
 
     @property
     def next_steps(self) -> list[str]:
@@ -122,66 +126,16 @@ class Diagnosis(Answered):
             return self.result.separations
         return separations(self.problem, self.search, nearest=True)
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-diagnose/1."""
-        return {
-            **result_json(self.result, self.print_gain),
-            "machine": None if self.output is None else str(self.output),
-            "seconds": self.seconds,
-        }
+    @property
+    def said(self) -> list[str]:
+        """The answer in sentences."""
+        return summary_sentences(self.result)
 
 
 def _digits(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(_digits(x) for x in value)}]"
     return value if isinstance(value, str) else f"{value:.4g}"
-
-
-def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[str, Any]:
-    """Return the JSON object ffcomp-diagnose/1 but for files and time; `gain` : of prints, if it was predicted."""
-    gap = result.gap
-    named = result.effects if result.verdict == "effects" else {}
-    most = None if result.rest is None else {**_effect_json(result, result.named[0]), **to_json(result.rest)}
-    return {
-        "schema": "ffcomp-diagnose/1",
-        "verdict": result.verdict,
-        "finding": result.finding,
-        "said": summary_sentences(result),
-        "effects": [_effect_json(result, name) for name in named],
-        "dominant": most,
-        "residual_curves": to_json(result.curves),
-        "undetermined": list(result.undetermined),
-        "refused": {"effects": [*result.effects], "because": [*result.rejections]} if result.rejections else None,
-        "invisible": list(result.invisible),
-        "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
-        "separate": to_json(result.separations),
-        "confusable_with": [{"name": name, "separate_by": how} for name, how in result.confounded_with],
-        "late_s": dict(result.late_s),
-        "left_out": gap.left_out,
-        "unproven_at": list(gap.unproven),
-        "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in result.file.off.items()},
-        "cut_short": result.cut_short,
-        "to_do": what_to_do(result),
-        "print_gain": None if gain is None else asdict(gain),
-        "other_motions": to_json(result.others),
-        "compared": "forces" if result.forces else "signals",
-        "gap": {
-            "before": gap.before.nrms,
-            "after": gap.after.nrms,
-            "noise": gap.noise,
-            "held_out": {"before": gap.elsewhere[0], "after": gap.elsewhere[1], "noise": gap.noise},
-        },
-    }
-
-
-def _effect_json(result: DiagnosisResult, name: str) -> dict[str, Any]:
-    return {
-        "name": name,
-        "family": CATALOGUE[name].family or name,
-        "parameters": result.parameters(name),
-        "confidence": result.confidence[name],
-        "evidence": result.evidence,
-    }
 
 
 def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = None) -> Diagnosis:
@@ -270,7 +224,7 @@ def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:
         return None
     if GEOMETRY in result.effects:
         return None
-    retuned = with_values(machine, {key: to for key, (_, to) in result.file.retuned.items()})
+    retuned = with_values(machine, {key: each.fitted for key, each in result.file.retuned.items()})
     better = replace(retuned, effects={**machine.effects, **result.effects})
     with TemporaryDirectory() as folder:
         sample = Path(folder) / "sample.gcode"

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
-from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, Unknown, planned_slices
+from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Statistics, Unknown, planned_slices, seconds
 from ffcomp.firmware.program import firmware_plan, planner_of, raw_durations, read_as_planned
 from ffcomp.firmware.table import FIRMWARES
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.planner.reach import Reach
 from ffcomp.result import Fact, Result, clock
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
-from models.arrays import FloatArray
 from models.machine import Machine
 
 MOST_LINES = 4  # of each command whose time is not known
@@ -32,7 +31,8 @@ class Estimate(Result):
     """
 
     title = "Print time"
-
+    schema = "ffcomp-estimate/1"
+    json_keys: ClassVar = keys("machine", "flavor", "compensated", "original", input="path") | {ALL_OF: "statistics"}
     drawn_by: ClassVar = {"times": "ffcomp.report.estimate:estimate_figure"}
 
     path: str
@@ -46,6 +46,11 @@ class Estimate(Result):
     def time_s(self) -> float:
         """Of the file as written."""
         return seconds(self.statistics.total)
+
+    @property
+    def compensated(self) -> bool:
+        """Whether the file is a compensated one."""
+        return self.original is not None
 
     @property
     def headline(self) -> str:
@@ -90,20 +95,6 @@ class Estimate(Result):
         unknown = [f"{each.what} ({each.command}, {_lines(each)})" for each in self.statistics.unknown.values()]
         missing = [f"Not included (duration unknown): {'; '.join(unknown)}."] if unknown else []
         return [*missing, *self.statistics.warnings]
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-estimate/1."""
-        values = {
-            "schema": "ffcomp-estimate/1",
-            "input": self.path,
-            "machine": self.machine,
-            "flavor": self.flavor,
-            "compensated": self.original is not None,  # true or false
-            **_values(self.statistics),  # … ACCOUNT: its keys are here too, of the file as written
-            # ACCOUNT or null: of a compensated file: the original
-            "original": _values(self.original) if self.original else None,
-        }
-        return dict(to_json(values))
 
 
 def _lines(unknown: Unknown) -> str:
@@ -162,39 +153,3 @@ def _statistics(blocks: Iterable[bytes], path: str, machine: Machine, flavor: st
     if not statistics.moves:
         raise NothingToDo(f"{path}: no move has a known start, so there is no time to estimate.")
     return statistics
-
-
-def seconds(row: FloatArray) -> float:
-    """Return all the time in a row."""
-    return float(row[:FILAMENT].sum())
-
-
-def _values(statistics: Statistics) -> dict[str, Any]:
-    return {
-        "time_s": seconds(statistics.total),  # all of it
-        **_row(statistics.total),  # … SPENT: its keys stand here too
-        "filament_mm": statistics.filament_mm,  # used
-        "moves": statistics.moves,  # whole number
-        "retractions": statistics.retractions,  # whole number
-        "slicer_time_s": statistics.slicer_s,  # number or null: what the slicer's comment states
-        # .* SPENT: by the slicer's feature names (`;TYPE:`)
-        "features": {name: {"time_s": seconds(row), **_row(row)} for name, row in statistics.features.items()},
-        "layers": [_layer(number, layer) for number, layer in statistics.layers.in_order()],
-        "unknown": list(statistics.unknown.values()),
-        "warnings": statistics.warnings,  # list of text
-    }
-
-
-def _row(row: FloatArray) -> dict[str, float]:
-    return {f"{kind}_s": float(row[k]) for k, kind in enumerate(KINDS)}
-
-
-def _layer(number: int, layer: Layer) -> dict[str, Any]:
-    return {
-        "layer": None if number == BEFORE else number,  # whole number or null: from 0; null: before the first
-        "line": layer.line,  # whole number: of the file, from 1, where it begins
-        "z_mm": layer.z_mm,  # number or null
-        "time_s": seconds(layer.row),  # as above, of the layer
-        **_row(layer.row),  # … SPENT: as above, of the layer
-        "filament_mm": float(layer.row[FILAMENT]),
-    }

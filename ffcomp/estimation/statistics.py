@@ -9,12 +9,14 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensation.chunks import MOST_MOVES, rests_of
 from ffcomp.inverse.reference import LEAST_CONTEXT_S
+from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.embedded import TIME_WAS, WAS
@@ -97,10 +99,27 @@ _NOWHERE = -(1 << 40)  # the height before anything is extruded
 class Layer:
     """Time and filament of a layer, or of a height."""
 
+    json_keys: ClassVar = keys("line", "filament_mm", z_mm="highest_mm") | {ALL_OF: "spent"}
+
     row: FloatArray  # (6,), see `ffcomp.estimation.statistics`
     line: int  # its first, from 1
     z_mm: float = -np.inf  # of its highest extruding move; -inf: none extrudes
     extruding: int = 0  # moves
+
+    @property
+    def spent(self) -> Spent:
+        """Its times."""
+        return Spent.of(self.row)
+
+    @property
+    def highest_mm(self) -> float | None:
+        """The height of its highest extruding move; None: none extrudes."""
+        return self.z_mm if self.extruding else None
+
+    @property
+    def filament_mm(self) -> float:
+        """Its filament."""
+        return float(self.row[FILAMENT])
 
     def with_more(self, other: Layer) -> Layer:
         """Add another part of the same layer."""
@@ -110,6 +129,16 @@ class Layer:
             max(self.z_mm, other.z_mm),
             self.extruding + other.extruding,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class NumberedLayer:
+    """A layer with its number."""
+
+    json_keys: ClassVar = keys("layer") | {ALL_OF: "counted"}
+
+    layer: int | None  # from 0; None: before the first
+    counted: Layer
 
 
 @dataclass(slots=True)
@@ -261,6 +290,28 @@ STILL_MM = 5e-5  # of filament in one move: less is rounding
 RETRACTED_MM = 0.05  # of filament at least, to call it a retraction
 
 
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """Seconds by kind of motion."""
+
+    time_s: float  # all of it
+    extruding_s: float
+    travelling_s: float
+    retracting_s: float
+    priming_s: float
+    waiting_s: float
+
+    @classmethod
+    def of(cls, row: FloatArray) -> Spent:
+        """Return the times of a row (6,)."""
+        return cls(seconds(row), *row[:FILAMENT].tolist())
+
+
+def seconds(row: FloatArray) -> float:
+    """Return all the time in a row (6,)."""
+    return float(row[:FILAMENT].sum())
+
+
 @dataclass(slots=True)
 class _Marks:
     """Lines of a slice whose comments begin layers and features: indices into the program's lines."""
@@ -273,6 +324,14 @@ class _Marks:
 @dataclass(slots=True)
 class Statistics:
     """Time and filament that have been counted so far."""
+
+    json_keys: ClassVar = keys("filament_mm", "moves", "retractions", "warnings") | {
+        ALL_OF: "spent",
+        "slicer_time_s": "slicer_s",
+        "features": "spent_by_feature",
+        "layers": "numbered_layers",
+        "unknown": "unknown_waits",
+    }
 
     moves: int = 0
     retractions: int = 0
@@ -291,6 +350,26 @@ class Statistics:
     def total(self) -> FloatArray:
         """(6,) of everything."""
         return np.sum([np.zeros(COLUMNS), *self.features.values()], axis=0)
+
+    @property
+    def spent(self) -> Spent:
+        """Times of everything."""
+        return Spent.of(self.total)
+
+    @property
+    def spent_by_feature(self) -> dict[str, Spent]:
+        """Times by the slicer's feature names."""
+        return {name: Spent.of(row) for name, row in self.features.items()}
+
+    @property
+    def numbered_layers(self) -> list[NumberedLayer]:
+        """The layers in their order."""
+        return [NumberedLayer(None if k == BEFORE else k, each) for k, each in self.layers.in_order()]
+
+    @property
+    def unknown_waits(self) -> list[Unknown]:
+        """Commands of unknown duration."""
+        return list(self.unknown.values())
 
     def add(self, part: PlannedSlice, raw_s: Mapping[int, float] = MappingProxyType({})) -> None:
         """Count a slice's own moves and lines.

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -46,6 +45,12 @@ class OneAxisFit(MachineFit):
     """The numbers of an axis by itself."""
 
     method = "axis"
+    json_keys = MachineFit.json_keys | {
+        "numbers": "result.estimates",
+        "kept": "kept",
+        "nrms.before": "result.before",
+        "nrms.after": "result.after",
+    }
 
     result: AxisFitted
     kept: Sequence[str]  # numbers that no run determines
@@ -65,15 +70,6 @@ class OneAxisFit(MachineFit):
     def next_steps(self) -> list[str]:
         """Compare the file with the runs."""
         return [f"Look at it: ffcomp gap RUNS --machine {self.output}"] if self.output else []
-
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        return {
-            "numbers": self.result.estimates,
-            "nrms": {"before": self.result.before, "after": self.result.after},
-            "kept": self.kept,
-        }
 
 
 def fit_axis(
@@ -135,7 +131,7 @@ def fitted_axis(start: Machine, runs: Sequence[AxisRun], known: Mapping[str, tup
         float(np.sqrt(np.mean(simulated[: -len(known) or None] ** 2)))
         for simulated in (problem.measured - each for each in problem.simulate([first, found.values]))
     )
-    return AxisFitted(joint.estimates(), before, after, tuple(found.doubt(start.name)))
+    return AxisFitted(joint.estimates, before, after, tuple(found.doubt(start.name)))
 
 
 class _Problem(EstimationProblem):

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
 from ffcomp.inference.fit import FitResult, Settings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.modal import WindowedPower, single_modes
+from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -43,9 +45,20 @@ AS_IT_IS, SEARCHED, REFINED = Settings(steps=0), Settings(steps=15, gain=1e-2), 
 STEP = 1e-5
 
 
+@dataclass(frozen=True, slots=True)
+class ExplainedTest:
+    """How well a test is explained."""
+
+    file: str
+    axis: str  # the direction that was excited
+    model_error: float
+
+
 @dataclass(frozen=True, eq=False)
 class BeltComparison:
     """How stiff each belt is against the mean of the others, and the resonances of the head on all of them."""
+
+    json_keys: ClassVar = keys("kind", "sentence", "relative_stiffness", "modes_hz", "damping_ratio", tests="explained")
 
     kind: str  # "belt" or "tower"
     names: tuple[str, ...]  # of belts, their direction: 1,-1; of towers, A B C
@@ -57,6 +70,19 @@ class BeltComparison:
     fitted: tuple[FloatArray, ...]  # (k,) of each test, in the units of the measurement
     errors: tuple[float, ...]  # of each test, the model's own
     sentence: str
+
+    @property
+    def relative_stiffness(self) -> dict[str, Estimate]:
+        """The stiffness of each, by name."""
+        return dict(zip(self.names, self.stiffness, strict=True))
+
+    @property
+    def explained(self) -> list[ExplainedTest]:
+        """How well each test is explained."""
+        return [
+            ExplainedTest(test.spectrum.source, test.axis, error)
+            for test, error in zip(self.tests, self.errors, strict=True)
+        ]
 
     def nearest(self, test: BeltTest) -> str:
         """Return the name of the belt that a test is along."""

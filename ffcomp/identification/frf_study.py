@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.predict import log_error_db, mean_absolute_percentage_accuracy, predicted
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from models.arrays import ComplexArray, FloatArray
 from models.errors import MachineFileError, UnreachableError
 from models.kinds import delta_vibration
@@ -94,9 +94,19 @@ class View:
         return [(i, k) for i in range(3) for k in range(3)]
 
 
+@dataclass(frozen=True, eq=False)
+class Bode:
+    """A frequency response as people draw it."""
+
+    magnitude: FloatArray  # (k,)
+    phase_deg: FloatArray  # (k,) unwrapped
+
+
 @dataclass(frozen=True)
 class NumberedMode:
     """A mode at one station."""
+
+    json_keys: ClassVar = keys("number", "frequency_hz", "damping_ratio", "kind")
 
     number: int | None  # as over the whole bed, by frequency at its centre; None: the drive's own, electrical
     frequency_hz: float
@@ -119,6 +129,14 @@ class NumberedMode:
 class Compared:
     """One measured response and the model's own, both as the view has them."""
 
+    json_keys: ClassVar = keys("lines", "band_hz", "log_error_db") | keys(
+        source="response.source",
+        input="response.input",
+        output="response.output",
+        magnitude_accuracy_percent="magnitude_percent",
+        phase_accuracy_percent="phase_percent",
+    )
+
     response: FrequencyResponse
     pair: Pair  # row and column of the view
     frequency_hz: FloatArray  # (k,)
@@ -127,6 +145,16 @@ class Compared:
     magnitude_percent: float  # μ_acc
     phase_percent: float
     log_error_db: float
+
+    @property
+    def lines(self) -> int:
+        """How many frequencies are compared."""
+        return len(self.frequency_hz)
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """The first and the last of them."""
+        return float(self.frequency_hz[0]), float(self.frequency_hz[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,50 +434,7 @@ def _effector_modes(machine: Machine) -> tuple[NumberedMode, ...]:
     return tuple(NumberedMode(number, f, z, f"along {axis}", axis) for number, (f, z, axis) in enumerate(modes, 1))
 
 
-def frf_json(study: Study, station: Station) -> dict[str, Any]:
-    """Return the JSON object ffcomp-frf/1 of one position."""
-    view = study.view
-    rows, columns = range(station.value.shape[1]), range(station.value.shape[2])
-    phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
-    return {
-        "schema": "ffcomp-frf/1",
-        "machine": to_json(study.machine),
-        "force_map": delta_vibration(study.machine).effector.force_map
-        if study.machine.vibration.position_dependent
-        else None,
-        "position_mm": [*station.xy.tolist(), 0.0],
-        "frequency_hz": study.frequency_hz.tolist(),
-        "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
-        "response": {
-            "of": view.of,
-            "per": view.per if view.depends_on_place else None,
-            "unit": view.unit,
-            "rows": list(view.rows),
-            "columns": list(view.columns),
-            "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
-        },
-        "added_mass_kg": station.added_mass_kg,
-        "modes": [
-            {"number": m.number, "frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio, "kind": m.kind}
-            for m in station.modes
-        ],
-        "measured": [_compared_answer(each) for each in station.compared],
-        "verdict": verdict(study),
-    }
-
-
-def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
-    return {"magnitude": abs(g[:, i, k]).tolist(), "phase_deg": phase[:, i, k].tolist()}
-
-
-def _compared_answer(each: Compared) -> dict[str, Any]:
-    return {
-        "source": each.response.source,
-        "input": each.response.input,
-        "output": each.response.output,
-        "lines": len(each.frequency_hz),
-        "band_hz": [float(each.frequency_hz[0]), float(each.frequency_hz[-1])],
-        "magnitude_accuracy_percent": each.magnitude_percent,
-        "phase_accuracy_percent": each.phase_percent,
-        "log_error_db": each.log_error_db,
-    }
+def bodes(g: ComplexArray) -> list[list[Bode]]:
+    """Return responses (k, r, c) as rows of columns."""
+    phase = np.degrees(np.unwrap(np.angle(g), axis=0))
+    return [[Bode(np.abs(g[:, i, k]), phase[:, i, k]) for k in range(g.shape[2])] for i in range(g.shape[1])]

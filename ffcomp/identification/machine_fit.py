@@ -21,7 +21,7 @@ from ffcomp.identification.page_fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.measurement.modes import ModeFit
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result
 from ffcomp.shapers.calibration import ShaperAdvice, in_words
 from gcode.atomic_write import replace_atomically
@@ -36,6 +36,9 @@ class MachineFit(Result):
 
     method: ClassVar[str] = ""
     schema: ClassVar[str] = "ffcomp-identify-fit/1"
+    json_keys: ClassVar[dict[str, str]] = keys(
+        "data", "skipped", "method", "advice", "output", started_from="start", shapers="shapers?"
+    )
     page_by = "ffcomp.report.identify:page_of"
     drawn_by = {"fit": "ffcomp.report.identify:figure_of"}  # noqa: RUF012 (the base states its type)
 
@@ -72,27 +75,6 @@ class MachineFit(Result):
         """Look at the machine file."""
         return [f"Look at it: ffcomp machines show {self.output}"] if self.output else []
 
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        return {}
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of the JSON object `schema`."""
-        keys = {
-            "schema": self.schema,
-            "started_from": self.start,
-            "data": self.data,
-            "skipped": self.skipped,
-            **({} if self.belts is None else {"belts": _belts(self.belts)}),
-            "method": self.method,
-            **self.own,
-            "advice": self.advice,
-            **({"shapers": self.shapers} if self.shapers else {}),
-            "output": self.output,
-        }
-        return {key: to_json(value) for key, value in keys.items()}
-
     def write(self, path: Path) -> Self:
         """Write the machine file, whole or not at all, and return the result with its path.
 
@@ -111,11 +93,25 @@ class MachineFit(Result):
         return replace(self, output=path)
 
 
+WITH_BELTS = MachineFit.json_keys | keys(belts="belts?")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ParametersFit(MachineFit):
     """All parameters of a delta, fitted to all frequency responses."""
 
     method = "direct"
+    json_keys = WITH_BELTS | keys(
+        numbers="result.fitted.estimates",
+        delays_s="result.fitted.delays_s",
+        rotation_deg="result.fitted.rotation_deg",
+        kept="result.kept",
+        weak="result.fitted.weak",
+        misfit="result.fitted.misfit",
+        model_error="result.fitted.model_error",
+        responses="result.fitted.explained",
+        **{"common_scale.sd": "result.fitted.common_scale_sd", "common_scale.numbers": "beside_scale"},
+    )
 
     result: Identified
 
@@ -147,28 +143,13 @@ class ParametersFit(MachineFit):
         unchanged = "unchanged: the data do not determine it"
         return [*number_facts(numbers), *((key, f"{value_of(fitted.machine, key):.5g}, {unchanged}") for key in kept)]
 
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        fitted = self.result.fitted
-        return {
-            "numbers": fitted.estimates,
-            "delays_s": fitted.delays_s,
-            "rotation_deg": fitted.rotation_deg,
-            "common_scale": {"sd": fitted.common_scale_sd, "numbers": self.beside_scale},
-            "kept": self.result.kept,
-            "weak": fitted.weak,
-            "misfit": fitted.misfit,
-            "model_error": fitted.model_error,
-            "responses": _quality(self.result),
-        }
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class StepwiseFit(MachineFit):
     """The same by the paper's method."""
 
     method = "stepwise"
+    json_keys = WITH_BELTS | keys(steps="result.steps")
 
     result: PaperIdentification
 
@@ -189,22 +170,9 @@ class StepwiseFit(MachineFit):
             for step in self.result.steps
             for fact in (
                 (step.title, f"χ² {step.consistency:.2f} per degree of freedom"),
-                *number_facts(step.joint.estimates()),
+                *number_facts(step.joint.estimates),
             )
         ]
-
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        steps = [
-            {
-                "step": step.title,
-                "chi_squared_per_degree_of_freedom": step.consistency,
-                "numbers": step.joint.estimates(),
-            }
-            for step in self.result.steps
-        ]
-        return {"steps": steps}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -212,8 +180,14 @@ class AxesFit(MachineFit):
     """The modes of cartesian and CoreXY axes."""
 
     method = "axes"
+    json_keys = WITH_BELTS | keys("axes", exchange="result.exchange.delta")
 
     result: IdentifiedAxes
+
+    @property
+    def axes(self) -> dict[str, AxisFit]:
+        """The axes by name."""
+        return {axis.name: axis for axis in self.result.axes}
 
     @property
     def headline(self) -> str:
@@ -230,21 +204,13 @@ class AxesFit(MachineFit):
         """Modes of each axis, and how well they explain its data."""
         return [fact for axis in self.result.axes for fact in _axis_facts(axis)]
 
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        exchange = self.result.exchange
-        return {
-            "axes": {axis.name: _axis(axis) for axis in self.result.axes},
-            "exchange": None if exchange is None else exchange.delta,
-        }
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BeltsFit(MachineFit):
     """Belts compared; they make no machine file."""
 
     method = "belts"
+    json_keys = WITH_BELTS
 
     @property
     def headline(self) -> str:
@@ -257,6 +223,7 @@ class ResonancesFit(MachineFit):
     """Resonances of a delta where nothing else is known, and a starting file of them."""
 
     method = "modes"
+    json_keys = WITH_BELTS | keys("spectra", numbers="started.estimates?")
 
     spectra: Sequence[ModeFit]
     started: ResonanceStart | None = None
@@ -285,11 +252,6 @@ class ResonancesFit(MachineFit):
                 facts.append(("mode", f"{mode.frequency_hz:.1f} ± {mode.frequency_sd_hz:.1f} Hz, {damping}{unsure}"))
         return facts if self.started is None else [*facts, *number_facts(self.started.estimates)]
 
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        return {"spectra": self.spectra, **({} if self.started is None else {"numbers": self.started.estimates})}
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ScanFit(MachineFit):
@@ -297,6 +259,15 @@ class ScanFit(MachineFit):
 
     method = "scan"
     schema = "ffcomp-identify-scan/1"
+    json_keys = MachineFit.json_keys | keys(
+        "noise_um",
+        numbers="result.estimates",
+        kept="result.kept",
+        places="result.places",
+        bead="result.bead",
+        explained="result.explained",
+        lines="result.count",
+    )
 
     result: PageFit
 
@@ -324,24 +295,6 @@ class ScanFit(MachineFit):
         facts += number_facts(fit.estimates)
         return [*facts, ("Friction", "dry friction of the guides is in the file too")] if fit.friction else facts
 
-    @property
-    def own(self) -> dict[str, Any]:
-        """The keys of the method in the JSON object."""
-        fit = self.result
-        places = [
-            {"position_mm": place, "modes": [{"frequency_hz": f, "damping_ratio": d} for f, d in modes]}
-            for place, modes in fit.modes.items()
-        ]
-        return {
-            "numbers": fit.estimates,
-            "kept": fit.kept,
-            "places": places,
-            "bead": fit.bead,
-            "explained": fit.explained,
-            "lines": len(fit.lines),
-            "noise_um": self.noise_um,
-        }
-
 
 def number_facts(numbers: Mapping[str, Estimate]) -> list[Fact]:
     """Return each parameter with its 90 % interval."""
@@ -361,9 +314,9 @@ def _axis_facts(axis: AxisFit) -> Iterator[Fact]:
         share = f", share {_interval(mode.share)}" if len(axis.modes) > 1 else ""
         yield f"axes.{axis.name}", f"{_interval(mode.frequency_hz)} Hz, ζ {_interval(mode.damping_ratio)}{share}"
     yield f"axes.{axis.name}", axis.verdict
-    for datum, error in zip(axis.data, axis.errors, strict=True):
-        explained = f"{100 * error:.1f} %" if error else "its noise"
-        yield Path(datum.source).name, f"explained to {explained} ({len(datum.frequency_hz)} frequencies)"
+    for each in axis.explained:
+        explained = f"{100 * each.model_error:.1f} %" if each.model_error else "its noise"
+        yield each.source, f"explained to {explained} ({each.lines} frequencies)"
 
 
 def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
@@ -374,58 +327,13 @@ def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
         interval = f"90 %: {100 * e.low:+.0f} to {100 * e.high:+.0f} %"
         yield what, f"{100 * e.value:+.1f} % ({interval}) against the mean of the others"
     yield "Head", f"resonates at {' and '.join(f'{_interval(e)} Hz' for e in belts.modes_hz)}"
-    for test, error in zip(belts.tests, belts.errors, strict=True):
-        yield test.spectrum.source, f"explained to {100 * error:.1f} %"
+    for each in belts.explained:
+        yield each.file, f"explained to {100 * each.model_error:.1f} %"
 
 
 def hash_of(path: Path) -> str:
     """Return a file's name with the hash of its content, for provenance."""
     return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
-
-
-def _belts(belts: BeltComparison) -> dict[str, Any]:
-    tests = zip(belts.tests, belts.errors, strict=True)
-    return {
-        "kind": belts.kind,
-        "sentence": belts.sentence,
-        "relative_stiffness": dict(zip(belts.names, belts.stiffness, strict=True)),
-        "modes_hz": belts.modes_hz,
-        "damping_ratio": belts.damping_ratio,
-        "tests": [{"file": t.spectrum.source, "axis": t.axis, "model_error": e} for t, e in tests],
-    }
-
-
-def _axis(axis: AxisFit) -> dict[str, Any]:
-    return {
-        "modes": axis.modes,
-        "verdict": axis.verdict,
-        "data": [
-            {"source": Path(datum.source).name, "lines": len(datum.frequency_hz), "model_error": error}
-            for datum, error in zip(axis.data, axis.errors, strict=True)
-        ],
-    }
-
-
-def _quality(result: Identified) -> list[dict[str, Any]]:
-    """Say of each response how near the fitted machine comes, and what noise it has."""
-    rows = []
-    fitted = result.fitted
-    for r, h, share in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True):
-        size = np.sum(np.abs(r.value) ** 2)
-        rows.append(
-            {
-                "source": r.source,
-                "setup": r.setup,
-                "input": r.input,
-                "output": r.output,
-                "position_mm": r.position_mm,
-                "points": len(r.frequency_hz),
-                "relative_error": np.sqrt(np.sum(np.abs(r.value - h) ** 2) / size),
-                "relative_noise": np.sqrt(np.sum(r.variance) / size),
-                "model_error": share,
-            }
-        )
-    return rows
 
 
 # ---- machine files: the starting file's text with values, uncertainties and provenance -----------

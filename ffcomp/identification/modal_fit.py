@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -33,6 +34,7 @@ from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.inference.fit import FitResult, Settings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
 from ffcomp.measurement.modal import independent_share
+from ffcomp.numerics.serialise import keys
 from models.arrays import ComplexArray, FloatArray
 
 START_DAMPING = 0.06
@@ -66,9 +68,20 @@ class AxisMode:
     share: Estimate
 
 
+@dataclass(frozen=True, slots=True)
+class ExplainedDatum:
+    """How well a measured file is explained."""
+
+    source: str
+    lines: int  # frequencies
+    model_error: float  # 0: explained to its noise
+
+
 @dataclass(frozen=True, eq=False)
 class AxisFit:
     """The modes of one axis, and the data they are from."""
+
+    json_keys: ClassVar = keys("modes", "verdict", data="explained")
 
     name: str  # x, y or z
     modes: tuple[AxisMode, ...]  # the larger share first
@@ -77,6 +90,14 @@ class AxisFit:
     errors: tuple[float, ...]  # of each datum, the model's own: 0.1 is 10 %
     verdict: str  # a sentence: why so many modes
     advice: tuple[str, ...]
+
+    @property
+    def explained(self) -> list[ExplainedDatum]:
+        """How well each datum is explained."""
+        return [
+            ExplainedDatum(Path(datum.source).name, len(datum.frequency_hz), error)
+            for datum, error in zip(self.data, self.errors, strict=True)
+        ]
 
 
 # ---- the fit of one axis -------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,6 +24,7 @@ from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.inference.fit import FitResult, Settings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Now, Stage
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.kinds import delta_vibration
@@ -63,6 +65,25 @@ ROUGH = Settings(steps=30, gain=1e-1, share=1e-3)  # of a start, before it is co
 FINAL = Settings(steps=100, rounds=10, exact_end=True)
 
 
+@dataclass(frozen=True, slots=True)
+class ExplainedResponse:
+    """How near the fitted machine comes to a response, and its noise."""
+
+    json_keys: ClassVar = keys("points", "relative_error", "relative_noise", "model_error") | {
+        name: f"response.{name}" for name in ("source", "setup", "input", "output", "position_mm")
+    }
+
+    response: FrequencyResponse
+    relative_error: float
+    relative_noise: float
+    model_error: float  # 0: explained to its noise
+
+    @property
+    def points(self) -> int:
+        """How many frequencies it has."""
+        return len(self.response.frequency_hz)
+
+
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """The result of the output-error fit."""
@@ -86,6 +107,16 @@ class Fitted:
     def model_error(self) -> float:
         """ε of the typical response (the median): 0 if the model explains most of them to their noise."""
         return float(np.median(self.model_errors))
+
+    @property
+    def explained(self) -> list[ExplainedResponse]:
+        """How well each response is explained."""
+        rows = []
+        for r, h, share in zip(self.responses, self.predictions, self.model_errors.tolist(), strict=True):
+            size = np.sum(np.abs(r.value) ** 2)
+            error = float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / size))
+            rows.append(ExplainedResponse(r, error, float(np.sqrt(np.sum(r.variance) / size)), share))
+        return rows
 
 
 def fit_machine(

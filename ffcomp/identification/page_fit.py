@@ -88,6 +88,22 @@ MASS_FLOOR = 0.12  # of a carriage's: it shows along z, which lines hardly do, a
 FRICTION_LAW = 0.25  # of friction's part in what looks like damping: no law of it is better known
 
 
+@dataclass(frozen=True, slots=True)
+class PlaceMode:
+    """A mode at a place."""
+
+    frequency_hz: Estimate
+    damping_ratio: Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceModes:
+    """The modes at a place."""
+
+    position_mm: tuple[float, float]
+    modes: Sequence[PlaceMode]
+
+
 @dataclass(frozen=True, eq=False)
 class PageFit:
     """What a page says of a machine."""
@@ -101,6 +117,16 @@ class PageFit:
     lines: Sequence[ReadLine]
     seen: Sequence[FloatArray]  # of each line, mm: without what its place leaves open
     fitted: Sequence[FloatArray]
+
+    @property
+    def count(self) -> int:
+        """How many lines were read."""
+        return len(self.lines)
+
+    @property
+    def places(self) -> list[PlaceModes]:
+        """The modes at each place."""
+        return [PlaceModes(place, [PlaceMode(*each) for each in modes]) for place, modes in self.modes.items()]
 
     @property
     def friction(self) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from ffcomp.identification.rational import RationalFit, fit_rational
 from ffcomp.identification.uncertainty import Joint
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
+from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray, constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
@@ -50,6 +52,8 @@ WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
 @dataclass(frozen=True, eq=False)
 class Step:
     """The result of one step."""
+
+    json_keys: ClassVar = keys(step="title", chi_squared_per_degree_of_freedom="consistency", numbers="joint.estimates")
 
     title: str
     joint: Joint
@@ -171,7 +175,7 @@ def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earl
     taking_part = [r for r in responses if _amplitude(r) > SILENT * loudest]
     i = AXES.index(axis)
     mount = (STIFFNESS[i], DAMPING[i])
-    known = {EARLIER[n]: (e.value, e.sd) for part in earlier for n, e in part.estimates().items() if n in EARLIER}
+    known = {EARLIER[n]: (e.value, e.sd) for part in earlier for n, e in part.estimates.items() if n in EARLIER}
     known["carriage.mass_kg"] = (delta_vibration(machine).carriage.mass_kg, known["carriage.mass_kg"][1])
     m2 = delta_vibration(machine).effector.extruder_mass_kg
     fitted = fit_machine(machine, taking_part, known, unknowns=(*known, *mount), starts=_mounts(m2, mount))

@@ -54,8 +54,9 @@ class Joint:
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
 
+    @property
     def estimates(self) -> dict[str, Estimate]:
-        """Return each value by itself."""
+        """Each value by itself."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {name: normal(float(v), float(s)) for name, v, s in zip(self.names, self.values, sd, strict=True)}
 

@@ -15,27 +15,44 @@ from os import PathLike, fspath
 from typing import Any
 
 ALL_OF = "…"  # the key under which the keys of another object stand in the same object
+IF_ANY = "?"  # after a path: the key is left out where there is nothing
 
 
 def keys(*names: str, **paths: str) -> dict[str, str]:
-    """Return `json_keys`: the same names as attributes, and keys with the path of an attribute, e.g. `plan.repeats`."""
+    """Return `json_keys`: the same names as attributes, and keys with the path of an attribute.
+
+    A path is `plan.repeats`, or `held_out.0` of a tuple's first item; at its end `IF_ANY`. The key `gap.before` is
+    `before` of the object `gap`.
+    """
     return {name: name for name in names} | paths
 
 
+def has_keys(cls: type) -> bool:
+    """Return whether values of a class become objects."""
+    return is_dataclass(cls) or hasattr(cls, "json_keys")
+
+
 def keys_of(cls: type) -> Mapping[str, str]:
-    """Return the JSON keys of a dataclass, each with the path of its attribute."""
-    public = (each.name for each in fields(cls) if not each.name.startswith("_"))
-    return getattr(cls, "json_keys", None) or keys(*public)
+    """Return the JSON keys of a class, each with the path of its attribute."""
+    if made := getattr(cls, "json_keys", None):
+        return made
+    return keys(*(each.name for each in fields(cls) if not each.name.startswith("_")))
 
 
 def json_object(value: Any) -> dict[str, Any]:
-    """Convert a dataclass to the object of its keys; beyond an attribute that is None everything is None."""
+    """Convert an object to that of its keys; beyond an attribute that is None everything is None."""
     made: dict[str, Any] = {}
     for key, path in keys_of(type(value)).items():
         at = value
-        for name in path.split("."):
-            at = None if at is None else getattr(at, name)
-        made |= to_json(at) if key == ALL_OF else {key: to_json(at)}
+        for name in path.removesuffix(IF_ANY).split("."):
+            at = None if at is None else at[int(name)] if name.isdigit() else getattr(at, name)
+        if path.endswith(IF_ANY) and (at is None or not getattr(at, "__len__", lambda: 1)()):
+            continue
+        *outer, last = key.split(".")
+        into = made
+        for name in outer:
+            into = into.setdefault(name, {})
+        into |= to_json(at) if key == ALL_OF else {last: to_json(at)}
     return made
 
 
@@ -65,7 +82,7 @@ def to_json(value: Any) -> Any:
         return to_json(value.value)
     if hasattr(value, "to_dict"):
         return to_json(value.to_dict())
-    if is_dataclass(value) and not isinstance(value, type):
+    if has_keys(type(value)):
         return json_object(value)
     if isinstance(value, Mapping):
         return {key if isinstance(key, str) else str(to_json(key)): to_json(each) for key, each in value.items()}

@@ -11,11 +11,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.numerics.serialise import json_object, keys
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
@@ -75,6 +76,17 @@ class Motion:
     def nozzle(self, t_s: FloatArray) -> FloatArray:
         """Return the nozzle's command at the times (k,) s: (k, 3) mm. It rests before and after."""
         return np.ascontiguousarray(self.trajectory.position(t_s)[:, :3])
+
+    @property
+    def stated_limits(self) -> dict[str, Any]:
+        """The firmware's limits that are stated, by name."""
+        return {key: value for key, value in asdict(self.limits).items() if value is not None}
+
+    @property
+    def own_limits(self) -> dict[str, list[float | None]]:
+        """Limits of single moves, by name, those that a move has: (n,) each."""
+        columns = zip(LIMIT_COLUMNS, self.move_limits.T, strict=True)
+        return {name: column.tolist() for name, column in columns if not np.isnan(column).all()}
 
     @property
     def vertices_mm(self) -> FloatArray:
@@ -142,6 +154,8 @@ class Excitation:
     Times count from the experiment's first move.
     """
 
+    json_keys: ClassVar = keys("direction", "band", "marker_knots", "first_knot", "periods", segment_s="band.segment_s")
+
     direction: str  # A B C: this carriage alone; x y z: the nozzle along this axis
     band: Band
     marker_knots: int  # segments of the marker, which begins at 0, and of its rest
@@ -152,6 +166,16 @@ class Excitation:
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One motion from rest to rest, and where."""
+
+    json_keys: ClassVar = keys("name", "kind", "place", "position_mm", "duration_s", "measured_from_s") | keys(
+        microstep_error="rounding",
+        limits="motion.stated_limits",
+        start_mm="motion.start_mm",
+        ends_mm="motion.ends_mm",
+        speed_mm_per_s="motion.speed",
+        own_limits="motion.own_limits?",
+        excitation="excitation?",
+    )
 
     name: str  # ffcomp-<kind>-<place>; of an excitation ffcomp-<direction>-<place>
     kind: str
@@ -165,6 +189,11 @@ class Experiment:
     def duration_s(self) -> float:
         """From rest to rest."""
         return self.motion.duration_s
+
+    @property
+    def moves(self) -> int:
+        """How many it has."""
+        return len(self.motion.speed)
 
     @property
     def measured_from_s(self) -> float:
@@ -182,9 +211,22 @@ class Page:
     bed_c: float = 60.0
 
 
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One execution of an experiment, and how its capture is called."""
+
+    name: str
+    repeat: int
+    capture: str
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """All experiments of a file, in the order of their first execution."""
+
+    json_keys: ClassVar = keys(
+        *("seed", "repeats", "rest_before_s", "rest_after_s", "shaper", "experiments"), page="page?", runs="named_runs"
+    ) | {"print": "print_file", "machine.name": "machine", "machine.sha256": "machine_sha256"}
 
     machine: str
     machine_sha256: str
@@ -200,6 +242,12 @@ class Plan:
     def runs(self) -> list[tuple[Experiment, int]]:
         """List experiment and repeat, from 1, in the order of the file: a repeat follows when all were made once."""
         return [(each, repeat) for repeat in range(1, self.repeats + 1) for each in self.experiments]
+
+    @property
+    def named_runs(self) -> list[Run]:
+        """The same with the names of their captures; none of a page."""
+        runs = self.runs() if self.page is None else ()
+        return [Run(each.name, repeat, capture_name(each.name, repeat)) for each, repeat in runs]
 
     def capture_s(self, experiment: Experiment) -> float:
         """Return how long the capture of one execution lasts, rests included, s."""
@@ -232,53 +280,7 @@ def save_plan(plan: Plan, path: Path) -> None:
 
 def plan_dict(plan: Plan) -> dict[str, Any]:
     """Return the object ffcomp-moves/1."""
-    return {
-        "schema": SCHEMA,
-        "machine": {"name": plan.machine, "sha256": plan.machine_sha256},
-        "seed": plan.seed,
-        "print": plan.print_file,
-        "repeats": plan.repeats,
-        "rest_before_s": plan.rest_before_s,
-        "rest_after_s": plan.rest_after_s,
-        "shaper": plan.shaper,
-        **({} if plan.page is None else {"page": asdict(plan.page)}),
-        "experiments": [_experiment_dict(each) for each in plan.experiments],
-        "runs": [
-            {"name": each.name, "repeat": repeat, "capture": capture_name(each.name, repeat)}
-            for each, repeat in (plan.runs() if plan.page is None else ())
-        ],
-    }
-
-
-def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
-    motion = experiment.motion
-    columns = zip(LIMIT_COLUMNS, motion.move_limits.T, strict=True)
-    optional: dict[str, Any] = {
-        "own_limits": {
-            name: [None if x != x else x for x in column.tolist()]  # JSON has no NaN
-            for name, column in columns
-            if not np.isnan(column).all()
-        },
-        "stops": np.flatnonzero(motion.stop_before).tolist(),
-        "waits_s": {str(i): float(motion.wait_before[i]) for i in np.flatnonzero(motion.wait_before).tolist()},
-    }
-    excitation = experiment.excitation
-    if excitation is not None:
-        optional["excitation"] = asdict(excitation) | {"segment_s": excitation.band.segment_s}
-    return {
-        "name": experiment.name,
-        "kind": experiment.kind,
-        "place": experiment.place,
-        "position_mm": experiment.position_mm,
-        "duration_s": experiment.duration_s,
-        "measured_from_s": experiment.measured_from_s,
-        "microstep_error": experiment.rounding,
-        "limits": {key: value for key, value in asdict(motion.limits).items() if value is not None},
-        "start_mm": motion.start_mm.tolist(),
-        "ends_mm": motion.ends_mm.tolist(),
-        "speed_mm_per_s": motion.speed.tolist(),
-        **{key: value for key, value in optional.items() if value},
-    }
+    return {"schema": SCHEMA, **json_object(plan)}
 
 
 # From JSON
@@ -335,10 +337,6 @@ def _motion(entry: Mapping[str, Any]) -> Motion:
     n = len(ends)
     own, nothing = entry.get("own_limits", {}), [None] * n
     move_limits = np.array([own.get(name, nothing) for name in LIMIT_COLUMNS], dtype=np.float64).T
-    stops, waits = np.zeros(n, dtype=np.bool_), np.zeros(n)
-    stops[entry.get("stops", [])] = True
-    for index, wait in entry.get("waits_s", {}).items():
-        waits[int(index)] = wait
     limits = dict(entry["limits"])
     if "delta" in limits:
         limits["delta"] = DeltaSlowZones(*limits["delta"])
@@ -348,6 +346,6 @@ def _motion(entry: Mapping[str, Any]) -> Motion:
         speed=np.array(entry["speed_mm_per_s"], dtype=np.float64),
         limits=PlannerLimits(**limits),
         move_limits=move_limits,
-        stop_before=stops,
-        wait_before=waits,
+        stop_before=np.zeros(n, dtype=np.bool_),  # a plan that is written has neither rests nor waits inside
+        wait_before=np.zeros(n),
     )

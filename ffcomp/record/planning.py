@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ffcomp.errors import RequestError
+from ffcomp.numerics.serialise import keys
 from ffcomp.record.excitation import (
     COARSE_ROUNDING,
     PEAKS,
@@ -41,6 +42,17 @@ CHECK_KINDS, CHECK_SECONDS, CHECK_REPEATS, CHECK_SEED = ("multisine", "loop", "r
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult(Result):
     """The plan of a recording, and what becomes of it."""
+
+    schema = "ffcomp-record-plan/1"
+    json_keys: ClassVar = keys("output", "experiments", "captures", "recommended_places_mm", "warnings", "next") | {
+        "machine.name": "plan.machine",
+        "machine.sha256": "plan.machine_sha256",
+        "plan": "plan_file",
+        "flavor": "recorder.flavor",
+        "duration_s": "plan.duration_s",
+        "repeats": "plan.repeats",
+        "restores": "restores",
+    }
 
     plan: Plan
     machine: Machine
@@ -93,6 +105,16 @@ class PlanResult(Result):
         return peaks_of(experiment.motion.vertices_mm, segment_s, self.machine.kinematics)
 
     @property
+    def experiments(self) -> list[PlannedExperiment]:
+        """Every experiment with its peaks."""
+        return [PlannedExperiment(e, self.peaks(e) or dict.fromkeys(PEAKS)) for e in self.plan.experiments]
+
+    @property
+    def restores(self) -> list[str]:
+        """How limits, shaper and bed mesh are put back."""
+        return self.recorder.restores()
+
+    @property
     def headline(self) -> str:
         """The contents of the file and its duration."""
         plan, minutes = self.plan, self.plan.duration_s / 60
@@ -119,7 +141,7 @@ class PlanResult(Result):
     @property
     def next_steps(self) -> list[str]:
         """How to run the file, and what to do with its captures."""
-        return [*self._next_steps(), *self.recorder.restores(), f"Then: {self.next}"]
+        return [*self._next_steps(), *self.restores, f"Then: {self.next}"]
 
     def _next_steps(self) -> Iterator[str]:
         if self.plan.page is not None:
@@ -136,35 +158,23 @@ class PlanResult(Result):
             yield "This firmware records nothing: record all of it with a sensor of your own."
         yield f"Keep {self.plan_file}."
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-record-plan/1."""
-        return {
-            "schema": "ffcomp-record-plan/1",
-            "machine": {"name": self.plan.machine, "sha256": self.plan.machine_sha256},
-            "output": str(self.output),
-            "plan": str(self.plan_file),
-            "flavor": self.recorder.flavor,
-            "duration_s": self.plan.duration_s,
-            "repeats": self.plan.repeats,
-            "experiments": [self._experiment_dict(each) for each in self.plan.experiments],
-            "captures": self.captures,
-            "restores": self.recorder.restores(),
-            "recommended_places_mm": list(self.recommended_places_mm),
-            "warnings": self.warnings,
-            "next": self.next,
-        }
 
-    def _experiment_dict(self, experiment: Experiment) -> dict[str, Any]:
-        return {
-            "name": experiment.name,
-            "kind": experiment.kind,
-            "direction": experiment.excitation and experiment.excitation.direction,
-            "position_mm": experiment.position_mm,
-            "duration_s": experiment.duration_s,
-            "moves": len(experiment.motion.speed),
-            "peaks": self.peaks(experiment) or dict.fromkeys(PEAKS),
-            "microstep_error": experiment.rounding,
-        }
+@dataclass(frozen=True, eq=False)
+class PlannedExperiment:
+    """An experiment of a plan, and the largest speeds and accelerations of a periodic one."""
+
+    json_keys: ClassVar = keys("peaks") | keys(
+        name="experiment.name",
+        kind="experiment.kind",
+        direction="experiment.excitation.direction",
+        position_mm="experiment.position_mm",
+        duration_s="experiment.duration_s",
+        moves="experiment.moves",
+        microstep_error="experiment.rounding",
+    )
+
+    experiment: Experiment
+    peaks: Mapping[str, float | None]
 
 
 def plan_recording(request: PlanRequest) -> PlanResult:

@@ -10,22 +10,26 @@ import re
 import sys
 import textwrap
 import types
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import is_dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import reduce
 from importlib import import_module
 from inspect import get_annotations, getsource
 from operator import or_
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from ffcomp.comparison.result import EqualQuality, Error, Method
+from ffcomp.diagnosis.result import Dominant, Interval, Nearest
+from ffcomp.diagnosis.verb import PrintGain
 from ffcomp.diagnosis.where import ResidualSize
+from ffcomp.estimation.statistics import Spent, Statistics
+from ffcomp.identification.frf_study import Bode
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.metrics import Track
-from ffcomp.numerics.serialise import ALL_OF, keys_of
+from ffcomp.numerics.serialise import ALL_OF, IF_ANY, has_keys, keys_of
+from ffcomp.record.plan import Plan
 from ffcomp.result import Answer, Result
 from ffcomp.simulation.expectation import Expectation
 from models.checks import Extreme
@@ -44,74 +48,100 @@ SHARED: dict[type, str] = {
     ResidualSize: "SIZE",
     Extreme: "EXTREME",
     Method: "METHOD",
+    Statistics: "ACCOUNT",
+    Spent: "SPENT",
     EqualQuality: "QUALITY",
+    Bode: "BODE",
+    Interval: "INTERVAL",
+    Nearest: "REFUSED",
+    Dominant: "DOMINANT",
+    PrintGain: "GAIN",
+    Plan: "ffcomp-moves/1",
 }
-PLAIN = {str: "text", Path: "text", float: "number", int: "whole number", bool: "true or false"}
+MISSING = ", may be missing"
+PLAIN = {type(None): "null", str: "text", Path: "text", float: "number", int: "whole number", bool: "true or false"}
 _TABLE = re.compile(r"^##+ (ffcomp-[\w-]+/\d+|[A-Z]+)\n(?:(?!^##|^\|).*\n)*\|.*\n\|.*\n((?:\|.*\n)+)", re.MULTILINE)
 
 
 def page() -> str:
     """Return the page, with the tables as the classes have them."""
     known = classes()
-    return _TABLE.sub(lambda match: _filled(match, known.get(match[1])), PAGE.read_text(encoding="utf-8"))
+    return _TABLE.sub(lambda match: _filled(match, known.get(match[1], ())), PAGE.read_text(encoding="utf-8"))
 
 
-def classes() -> dict[str, type]:
-    """Return the class of each object, by its name on the page."""
+def classes() -> dict[str, list[type]]:
+    """Return the classes of each object, by its name on the page: a result of several kinds has several."""
     for path in (ROOT / "ffcomp").rglob("*.py"):
-        if "json_keys: ClassVar" in path.read_text(encoding="utf-8"):
+        if "json_keys" in path.read_text(encoding="utf-8"):
             import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    found, results = {name: cls for cls, name in SHARED.items()}, [Result]
+    found, results = {name: [cls] for cls, name in SHARED.items()}, [Result]
     for each in results:
         results += each.__subclasses__()
-        found |= {each.schema: each} if each.schema and each.details is Result.details else {}
+        if each.schema and not each.__subclasses__():
+            found.setdefault(each.schema, []).append(each)
     return found
 
 
-def _filled(match: re.Match[str], cls: type | None) -> str:
-    if cls is None:
+def _filled(match: re.Match[str], classes: Sequence[type]) -> str:
+    if not classes:
         return match[0]
     by_hand = {key: rest for _, key, *rest in (re.split(r" *(?<!\\)\| *", line) for line in match[2].splitlines())}
-    own, text = list(rows_of(cls)), ""
-    for key, kind in [("schema", "text"), *own, ("answer", "ANSWER")] if issubclass(cls, Result) else own:
+    own, text = rows_of_all(classes), ""
+    first = [("schema", "text")] if match[1].startswith("ffcomp-") else []
+    last = [("answer", "ANSWER")] if issubclass(classes[0], Result) else []
+    for key, kind in (*first, *own, *last):
         of_key = unit_of(key.rpartition(".")[2].removesuffix("[]"))
         was, unit, meaning, *_ = by_hand.get(f"`{key}`", (kind, of_key, ""))
         text += f"| `{key}` | {kind or was} | {unit} | {meaning} |\n".replace("|  |\n", "| |\n")
     return match[0].removesuffix(match[2]) + text
 
 
+def rows_of_all(classes: Sequence[type]) -> list[tuple[str, str]]:
+    """Return the rows of classes that share an object; a key that not all of them have may be missing."""
+    each = [dict(rows_of(cls)) for cls in classes]
+    every = {key: kind for of in each for key, kind in of.items()}
+    inside = re.compile(r"[.\[]")
+    return [
+        (key, kind if MISSING in kind or inside.search(key) or all(key in of for of in each) else f"{kind}{MISSING}")
+        for key, kind in every.items()
+    ]
+
+
 def rows_of(cls: type, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the keys of an object, and of those in it that have no table of their own, with their types."""
     for key, path in keys_of(cls).items():
         kind, optional = cls, False
-        for name in path.split("."):
+        for name in path.removesuffix(IF_ANY).split("."):
             kind, may_be_none = without_none(type_of(kind, name))
             optional |= may_be_none
+        null = MISSING if path.endswith(IF_ANY) else " or null" * optional
         if key == ALL_OF and kind not in SHARED:
             yield from rows_of(kind, prefix)
         else:
-            yield from rows(f"{prefix}{key}", kind, " or null" * optional)
+            yield from rows(f"{prefix}{key}", kind, null)
 
 
 def rows(key: str, kind: Any, null: str = "") -> Iterator[tuple[str, str]]:
     """Yield the rows of one key: one, or those of the objects that it holds."""
-    inside, mark = items_of(kind)
+    kind, may_be_none = without_none(kind)
+    null, (inside, mark) = null or " or null" * may_be_none, items_of(kind)
     if kind in SHARED:
         yield key, f"{SHARED[kind]}{null}"
     elif isinstance(kind, type) and issubclass(kind, Result):
         yield key, kind.schema
-    elif isinstance(kind, type) and is_dataclass(kind):
+    elif isinstance(kind, type) and has_keys(kind):
         yield from rows_of(kind, f"{key}.")
     elif mark == ".*" or holds_objects(inside):
         yield from rows(f"{key}{mark}", inside)
     else:
-        yield key, "" if kind is Any else f"{words(kind)}{null}"
+        by_hand = kind is Any or (get_origin(kind) is np.ndarray and not null)  # a type names no shape
+        yield key, "" if by_hand else f"{words(kind)}{null}"
 
 
 def holds_objects(kind: Any) -> bool:
     """Whether a list's items are objects, or lists of them."""
     inside, _ = items_of(kind)
-    return is_dataclass(kind) or (inside is not None and holds_objects(inside))
+    return (isinstance(kind, type) and has_keys(kind)) or (inside is not None and holds_objects(inside))
 
 
 def items_of(kind: Any) -> tuple[Any, str]:
@@ -120,7 +150,7 @@ def items_of(kind: Any) -> tuple[Any, str]:
     if not isinstance(origin, type) or not of or issubclass(origin, np.ndarray):
         return None, ""
     if issubclass(origin, Mapping):
-        return without_none(of[1])[0], ".*"
+        return of[1], ".*"
     return (of[0], "[]") if issubclass(origin, Collection) else (None, "")
 
 
@@ -130,7 +160,7 @@ def words(kind: Any) -> str:
     if get_origin(kind) is tuple and len(set(get_args(kind)) - {Ellipsis}) > 1:
         return "list"
     if inside is not None:
-        return "list of " + re.sub(r"(number|list|null)(?!s)", r"\1s", words(inside))
+        return "list of " + re.sub(r"(number|list|null)(?!s)", r"\1s", words(inside).replace(" or ", " and "))
     if get_origin(kind) is np.ndarray:
         return "list of numbers"
     if get_origin(kind) in (Union, types.UnionType):
@@ -146,13 +176,16 @@ def without_none(kind: Any) -> tuple[Any, bool]:
 
 
 def type_of(cls: type, name: str) -> Any:
-    """Return the type of an attribute: a field or a property."""
+    """Return the type of an attribute: a field or a property; of a tuple's item."""
+    if name.isdigit():
+        return get_args(cls)[int(name)]
     for owner in cls.__mro__:
         value = vars(owner).get(name)
         if isinstance(value, property):
             return get_type_hints(value.fget, localns=_names(owner))["return"]
         if name in get_annotations(owner):
-            return get_type_hints(owner, localns=_names(owner))[name]
+            kind = get_type_hints(owner, localns=_names(owner))[name]
+            return get_args(kind)[0] if get_origin(kind) is ClassVar else kind
     raise ValueError(f"{cls.__name__} has no attribute {name!r} of a stated type.")
 
 

@@ -15,7 +15,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.estimation import statistics as cutting
-from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
+from ffcomp.estimation.engine import Estimate, estimate, planned_slices
 from ffcomp.estimation.statistics import (
     EXTRUDING,
     PRIMING,
@@ -23,6 +23,7 @@ from ffcomp.estimation.statistics import (
     TRAVELLING,
     WAITING,
     Statistics,
+    seconds,
 )
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits

@@ -14,9 +14,9 @@ from ffcomp.diagnosis.next_experiment import blank_recording, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, result_of
 from ffcomp.diagnosis.sentences import what_to_do
-from ffcomp.diagnosis.verb import result_json
 from ffcomp.diagnosis.words import digits
 from ffcomp.measurement.recording import Recording
+from ffcomp.numerics.serialise import to_json
 from ffcomp.record.moves import Request, make_plan
 from models.arrays import FloatArray
 from models.file import load_machine
@@ -111,7 +111,7 @@ def test_a_set_is_told_apart_by_the_recording_that_it_names(machine: Machine) ->
     assert sentence.startswith("Record ffcomp record plan -m ")
     assert f"there the predictions differ by {digits(one.there, 2)} times the noise; in these runs by 0.0" in sentence
     assert sentence in what_to_do(told)
-    (written,) = result_json(told)["separate"]
+    (written,) = to_json(told)["separate"]
     assert written["separates"] and written["record"] == one.command and written["said"] == sentence
 
     # recorded as proposed, by the printer as it really is: the verdict is alone, and right

@@ -95,7 +95,7 @@ def test_what_is_hidden_is_named_and_the_better_file_closes_the_gap(
     found = diagnose(problem)
     assert (found.verdict, found.named.names) == ("effects", (name,))
     told = result_of(problem, found)
-    said, true = (np.broadcast_to(each, 3)[:2] for each in (told.parameters(name)[key]["value"], truth))  # z rests
+    said, true = (np.broadcast_to(each, 3)[:2] for each in (told.parameters(name)[key].value, truth))  # z rests
     np.testing.assert_allclose(said, true, rtol=0.15, atol=0.03)
     text = better_file(Path(machine.path), "better", told, ["x.csv sha256:0"], "2026-11-22")
     (tmp_path / "better.toml").write_text(text, encoding="utf-8")
@@ -114,7 +114,7 @@ def test_damping_of_the_belts_is_no_offset_of_the_sensors(tmp_path: Path) -> Non
     found = diagnose(problem)
     assert found.named is not None and (found.verdict, found.named.names) == ("effects", ("belt_damping",))
     told = result_of(problem, found)
-    assert told.parameters("belt_damping")["share"]["value"] == pytest.approx(share, abs=0.02)
+    assert told.parameters("belt_damping")["share"].value == pytest.approx(share, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_what_depends_on_the_place_is_named(
     problem = PrinterProblem(filed(plain, kind, tmp_path), runs, (name, "guide_damping"))
     found = diagnose(problem)
     assert found.named is not None and (found.verdict, found.named.names) == ("effects", (name,))
-    np.testing.assert_allclose(result_of(problem, found).parameters(name)[key]["value"], truth, rtol=0.05, atol=0.05)
+    np.testing.assert_allclose(result_of(problem, found).parameters(name)[key].value, truth, rtol=0.05, atol=0.05)
 
 
 def test_nothing_is_said_of_the_place_where_all_is_recorded_at_one(tmp_path: Path) -> None:

@@ -21,9 +21,9 @@ from ffcomp.diagnosis.observations import (
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
 from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
-from ffcomp.diagnosis.verb import result_json
 from ffcomp.measurement.axis_run import AxisRun
 from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effects
@@ -71,10 +71,10 @@ def test_a_search_ends_at_its_budget_and_says_so() -> None:
     asked, found = searched(0.1 * MILLION)
     assert found.cut_short
     assert asked.work.steps < 0.95 * searched(None)[0].work.steps
-    told = result_json(result_of(asked, found))
-    assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
-    whole = result_json(result_of(*searched(None)))
-    assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
+    told = result_of(asked, found)
+    assert told.cut_short and any("--thorough" in sentence for sentence in summary_sentences(told))
+    whole = result_of(*searched(None))
+    assert not whole.cut_short and not any("--thorough" in sentence for sentence in summary_sentences(whole))
 
 
 # ---- search ----
