@@ -92,20 +92,13 @@ Print Settings > Output options > Post-processing scripts (mode: Expert), one li
         ),
         Recipe(
             "orcaslicer",
-            "OrcaSlicer: a post-processing script, or a plugin",
+            "OrcaSlicer: a post-processing script",
             """\
-Either: process settings > Others > Post-processing Scripts (mode: Advanced), one line, the last one:
+Process settings > Others > Post-processing Scripts (mode: Advanced), one line, the last one:
 
 {line}
 
-{classic}
-
-Or, in versions with plugins: ffcomp integrations install orcaslicer --machine {quoted}
-It writes ffcomp_plugin.py. Install that in the Plugins dialog (local file), activate it, and choose "Compensate
-vibration" in the process settings > Others > Slicing Pipeline Plugin. OrcaSlicer asks whether it may run ffcomp.""",
-            "orca_plugin.py",
-            "ffcomp_plugin.py",
-            lambda: [Path.cwd()],
+{classic}""",
         ),
         Recipe(
             "bambustudio",

@@ -20,7 +20,7 @@ FILES = (".cmd", ".log", ".log.1", ".py", ".toml")  # of names that look like mo
 FENCED = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)  # examples run
 LINK = re.compile(r"\]\([^)]*\)")  # links are followed elsewhere
 PLACEHOLDER = "NAME"
-INSTALLED = {"ffcomp.py", "Ffcomp.py", "ffcomp_plugin.py"}  # names in the folders of slicers
+INSTALLED = {"ffcomp.py", "Ffcomp.py"}  # names in the folders of slicers
 PAGES = [*pages(), *(ROOT / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"))]
 
 

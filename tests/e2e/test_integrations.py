@@ -1,4 +1,4 @@
-"""The wrappers, called as Cura, OrcaSlicer and Moonraker call them, and the recipes for all the others.
+"""The wrappers, called as Cura and Moonraker call them, and the recipes for all the others.
 
 `test_slicers.py` has a real Cura call its wrapper.
 """
@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import configparser
-import enum
 import importlib.util
 import json
 import shlex
@@ -165,113 +164,6 @@ def test_a_failure_in_cura_is_seen_and_the_print_stays(
     assert comment.startswith(";ffcomp FAILED, this print is NOT compensated: ") and why in comment
     assert "│" not in comment  # the frame of an error of usage
     assert len(told) == 1 and "NOT compensated" in told[0] and why in told[0]
-
-
-# -- OrcaSlicer --
-
-SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
-
-
-class Step(enum.Enum):
-    posSlice = 0
-    psGCodePostProcess = 1
-
-
-class ExecutionResult:
-    """What a plugin answers."""
-
-    @staticmethod
-    def success(message: str = "") -> tuple[str, str]:
-        return "success", message
-
-    @staticmethod
-    def skipped(message: str = "") -> tuple[str, str]:
-        return "skipped", message
-
-    @staticmethod
-    def failure(status: str, message: str) -> tuple[str, str]:
-        return status, message
-
-
-class Capability:
-    """Orca's base class: settings are JSON text."""
-
-    config = "{}"
-
-    def get_config(self) -> str:
-        return self.config
-
-
-class Context:
-    """Of the step after G-code generation."""
-
-    step, host, output_name = Step.psGCodePostProcess, "File", "/prints/box.gcode"
-
-    def __init__(self, path: Path, cancelled: bool = False) -> None:
-        self.gcode_path, self._cancelled = str(path), cancelled
-
-    def config_value(self, key: str) -> str | None:
-        return {"printable_area": "0x0,220x0,220x220,0x220", "gcode_flavor": "klipper"}.get(key)
-
-    def cancelled(self) -> bool:
-        return self._cancelled
-
-
-@pytest.fixture
-def orca(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str) -> Any:
-    """The plugin's one capability, as OrcaSlicer makes it."""
-    registered: list[Any] = []
-    stand_in(
-        monkeypatch,
-        "orca",
-        base=object,
-        plugin=lambda package: package().register_capabilities() or package,
-        register_capability=registered.append,
-        ExecutionResult=ExecutionResult,
-        PluginResult=SimpleNamespace(RecoverableError="recoverable"),
-        slicing=SimpleNamespace(Step=Step, SlicingPipelineCapabilityBase=Capability),
-    )
-    monkeypatch.setattr(Capability, "config", json.dumps({"machine": "kossel", "options": "--no-predict"}))
-    # registered while the file is being read, as the decorator does it
-    loaded("ffcomp_plugin", wrapper(RECIPES["orcaslicer"], "", program), tmp_path)
-    return registered[0]()
-
-
-def test_orca_compensates_once_and_twice(orca: Any, tmp_path: Path) -> None:
-    path = tmp_path / "立方 box.gcode.pp"
-    path.write_bytes(SMALL)
-    assert orca.get_name() and set(orca.get_default_config()) == {"machine", "options", "executable"}
-    assert orca.execute(Context(path)) == ("success", "Look at it: ffcomp show /prints/box.gcode")
-    done = path.read_bytes()
-    assert original(done) == SMALL
-    verdict, said = orca.execute(Context(path))
-    assert verdict == "success" and "already processed" in said and path.read_bytes() == done
-
-
-def test_orca_is_told_what_is_wrong(orca: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "box.gcode.pp"
-    path.write_bytes(SMALL)
-    context = Context(path)
-    context.step = Step.posSlice
-    assert orca.execute(context) == ("skipped", "")
-    for config, why in (
-        ({"machine": "kosel"}, "Did you mean 'kossel'? Known machines: "),
-        ({"machine": "kossel", "executable": "/no/such"}, "No such file"),
-        ([], "not a mapping"),
-    ):
-        monkeypatch.setattr(Capability, "config", json.dumps(config))
-        verdict, said = orca.execute(Context(path))
-        assert verdict == "recoverable" and why in said
-    assert path.read_bytes() == SMALL
-
-
-def test_orca_can_cancel(orca: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, slow = tmp_path / "box.gcode.pp", tmp_path / "slow"
-    path.write_bytes(SMALL)
-    slow.write_text("#!/bin/sh\nexec sleep 60\n")
-    slow.chmod(0o755)
-    monkeypatch.setattr(Capability, "config", json.dumps({"executable": str(slow)}))
-    assert orca.execute(Context(path, cancelled=True)) == ("recoverable", "Cancelled; the file is unchanged.")
 
 
 # -- Moonraker --
