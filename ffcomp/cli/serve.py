@@ -115,12 +115,11 @@ def _run(settings: Settings, request: ServeRequest) -> None:
 
     import uvicorn
 
-    from ffcomp.cli.compiled import first_run
     from ffcomp.serve.app import Server
 
     with _listening(settings) as door:
         settings = replace(settings, port=door.getsockname()[1])
-        app = Server(settings, warm=not first_run("compensate")).app()
+        app = Server(settings).app()
         _say(settings)
         if request.open_it:
             opened(settings.address)

@@ -22,7 +22,7 @@ from starlette.routing import Route
 from ffcomp.serve import machines, messages
 from ffcomp.serve.commands import KINDS, MEASURED, checked, forms
 from ffcomp.serve.guard import Guard
-from ffcomp.serve.jobs import ENDED, Job
+from ffcomp.serve.jobs import Job
 from ffcomp.serve.printer import Printer
 from ffcomp.serve.runner import Runner
 from ffcomp.serve.settings import MEGABYTE, Settings
@@ -43,10 +43,10 @@ INLINE = {".svg": "image/svg+xml", ".html": "text/html; charset=utf-8"}
 class Server:
     """One server: its settings, uploads, jobs and printer."""
 
-    def __init__(self, settings: Settings, warm: bool = True) -> None:
+    def __init__(self, settings: Settings) -> None:
         settings.folder.mkdir(parents=True, exist_ok=True)
         settings = replace(settings, folder=settings.folder.resolve())  # processes run in folders of their own
-        self.settings, self.warm = settings, warm
+        self.settings = settings
         self.uploads = Uploads(settings)
         self.runner = Runner(settings, machines.path_of, machines.kept_if_imported)
         self.printer = Printer(settings.moonraker.rstrip("/")) if settings.moonraker else None
@@ -72,8 +72,6 @@ class Server:
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
         self.uploads.clean()
         self.runner.start()
-        if not self.warm:
-            self.runner.add(Job(new_id(), "warmup", KINDS["warmup"].title), lambda place: None)
         yield
         await run_in_threadpool(self.runner.stop)
 
@@ -108,7 +106,7 @@ class Server:
         return {
             "version": __version__,
             "machines": list(map(asdict, machines.listed())),
-            "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all() if not _is_past_warmup(job)],
+            "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all()],
             "printer": self.printer is not None,
             "largest_mb": self.settings.largest_bytes // MEGABYTE,
         }
@@ -159,14 +157,7 @@ class Server:
 
         with self.creating:
             made = self.runner.add(job, place)
-        self._stop_warmup()
         return asdict(made)
-
-    def _stop_warmup(self) -> None:
-        """Stop it for a user's job, which compiles its own part; code compiled so far is kept."""
-        for job in self.runner.all():
-            if job.kind == "warmup":
-                self.runner.cancel(job.id)
 
     def _plan(self, id_: Any) -> list[Path]:
         """Return the plan's file that another job has made."""
@@ -231,10 +222,6 @@ class Server:
         if self.printer is None:
             raise Refused(404, "No printer is set: start the server with --moonraker URL.")
         return self.printer
-
-
-def _is_past_warmup(job: Job) -> bool:
-    return job.kind == "warmup" and job.state in ENDED
 
 
 def _refusal(refused: Refused) -> Response:

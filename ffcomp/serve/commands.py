@@ -107,11 +107,6 @@ def read_machine(task: Task) -> list[Step]:
     return [Step(words, "reading the configuration")]
 
 
-def warmup(task: Task) -> list[Step]:
-    """Compile the numerical code."""
-    return [Step(("warmup",), "compiling, once after installing")]
-
-
 def _report(task: Task) -> tuple[str, ...]:
     return "--json", "--report", str(task.out / REPORT)
 
@@ -220,7 +215,6 @@ KINDS: dict[str, Kind] = {
     "import": Kind(
         read_machine, _ONE, (Called, partial(ImportMachineRequest, _ANY)), machine=False, title="Machine from {name}"
     ),
-    "warmup": Kind(warmup, _NONE, machine=False, title="Getting ready"),
 }
 
 

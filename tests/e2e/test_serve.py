@@ -159,19 +159,6 @@ def post(address: str, path: str, pieces: Any) -> tuple[int, bytes]:
 # -- the command --
 
 
-def test_after_installing_it_gets_ready_until_somebody_starts_something(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-c", "import time; time.sleep(60)"))
-    with client(tmp_path, monkeypatch, warm=False) as page:
-        (job,) = page.get("/api/state").json()["jobs"]
-        assert job["title"] == "Getting ready"
-        wait_for(page, job["id"], "running")
-        id_ = started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel")
-        wait_for(page, id_, "running")
-        assert [each["id"] for each in page.get("/api/state").json()["jobs"]] == [id_]
-
-
 def test_reached_from_elsewhere_it_prints_a_token_that_opens_it(tmp_path: Path) -> None:
     with command(tmp_path, "--host", "0.0.0.0") as (address, _):
         parts = urlsplit(address)
