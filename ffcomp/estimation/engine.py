@@ -71,7 +71,7 @@ class Estimate(Result):
         features = sorted(numbers.features.items(), key=lambda item: -seconds(item[1]))
         of_features = [(n, f"{share(seconds(row))}, {max(row[FILAMENT], 0.0) / 1e3:.2f} m") for n, row in features]
         filament = ("filament", f"{numbers.filament_mm / 1e3:.2f} m, {numbers.retractions} retractions")
-        times = sorted((seconds(layer.row), k) for k, layer in numbers.layers.in_order() if k != BEFORE)
+        times = sorted((seconds(each.row), each.number) for each in numbers.layers_in_order if each.number != BEFORE)
         layers = [("layers", f"{len(times)}")] if times else []
         if len(times) > 1:
             (least, low), (most, high) = times[0], times[-1]
@@ -83,10 +83,10 @@ class Estimate(Result):
         """Every layer's height, line in the file, and time."""
         return [
             (
-                "before" if k == BEFORE else f"layer {k}",
+                "before" if each.number == BEFORE else f"layer {each.number}",
                 f"z {each.z_mm:.2f} mm, line {each.line}: {clock(seconds(each.row))}",
             )
-            for k, each in self.statistics.layers.in_order()
+            for each in self.statistics.layers_in_order
         ]
 
     @property

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -20,12 +21,12 @@ from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.embedded import TIME_WAS, WAS
-from gcode.layers import FEW_MOVES, SLOPE_MM, UNNAMED, begins_feature, begins_layer
+from gcode.layers import UNNAMED, begins_feature, begins_layer
 from gcode.metadata import slicer_time_s, with_time
 from gcode.program import Event, EventKind, Program
 from gcode.slicing import join, split
 from gcode.words import commands
-from models.arrays import BoolArray, FloatArray, IntArray
+from models.arrays import FloatArray, IntArray
 
 PlanOf = Callable[[Program], Trajectory]
 
@@ -90,21 +91,26 @@ def _line_begun(program: Program, plan: Trajectory, t: float) -> int:
     return int(np.searchsorted(line, line[int(plan.move_at(t))]))
 
 
-BEFORE = -1  # lines before the first layer
-_STEP_MM = 1e-3  # unit of counted heights, so that a spiral vase has a limited number
-_NOWHERE = -(1 << 40)  # the height before anything is extruded
+BEFORE = -1  # the number of the lines before the first layer
+BAND_MM = 0.05  # of height: a layer of a file that names none
+_HEIGHT_0 = -(1 << 40)  # keys of heights are counted from here, below those of numbered layers
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Time and filament of a layer, or of a height."""
+    """Time and filament of a layer."""
 
-    json_keys: ClassVar = keys("line", "filament_mm", z_mm="highest_mm") | {ALL_OF: "spent"}
+    json_keys: ClassVar = keys("line", "filament_mm", layer="numbered", z_mm="highest_mm") | {ALL_OF: "spent"}
 
     row: FloatArray  # (6,), see `ffcomp.estimation.statistics`
     line: int  # its first, from 1
     z_mm: float = -np.inf  # of its highest extruding move; -inf: none extrudes
-    extruding: int = 0  # moves
+    number: int = BEFORE  # from 0
+
+    @property
+    def numbered(self) -> int | None:
+        """Its number; None: before the first."""
+        return None if self.number == BEFORE else self.number
 
     @property
     def spent(self) -> Spent:
@@ -114,7 +120,7 @@ class Layer:
     @property
     def highest_mm(self) -> float | None:
         """The height of its highest extruding move; None: none extrudes."""
-        return self.z_mm if self.extruding else None
+        return self.z_mm if np.isfinite(self.z_mm) else None
 
     @property
     def filament_mm(self) -> float:
@@ -123,106 +129,7 @@ class Layer:
 
     def with_more(self, other: Layer) -> Layer:
         """Add another part of the same layer."""
-        return Layer(
-            self.row + other.row,
-            min(self.line, other.line),
-            max(self.z_mm, other.z_mm),
-            self.extruding + other.extruding,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class NumberedLayer:
-    """A layer with its number."""
-
-    json_keys: ClassVar = keys("layer") | {ALL_OF: "counted"}
-
-    layer: int | None  # from 0; None: before the first
-    counted: Layer
-
-
-@dataclass(slots=True)
-class Layers:
-    """Layers that have been counted so far."""
-
-    number: int = BEFORE  # of the current layer
-    _numbered: dict[int, Layer] = field(default_factory=dict)
-    _heights: dict[int, Layer] = field(default_factory=dict)  # as long as no comment has begun a layer
-    _height: int = _NOWHERE  # of the last extruding move
-
-    def leave(self, begun: int) -> None:
-        """End a slice; `layers` is how many have begun."""
-        self.number += begun
-
-    def wait(self, begun: int, row: FloatArray, line: int) -> None:
-        """Count a wait, when `begun` layers of the slice have begun."""
-        number = self.number + begun
-        if number > BEFORE:
-            _put(self._numbered, number, Layer(row, line))
-        else:
-            _put(self._heights, self._height, Layer(row, line))
-
-    def add(self, begun: IntArray, rows: FloatArray, z: FloatArray, extrudes: BoolArray, line: IntArray) -> None:
-        """Count n moves.
-
-        Parameters
-        ----------
-        begun : (n,), layers of the slice that have begun before each
-        rows : (n, 6) array
-        z : (n,), where each ends, mm
-        extrudes : (n,) array
-        line : (n,), in the file, from 1
-        """
-        number, height = self.number + begun, self._heights_of(z, extrudes)
-        numbered = number > BEFORE
-        tops = np.where(extrudes, z, -np.inf)
-        for into, key, which in ((self._numbered, number, numbered), (self._heights, height, ~numbered)):
-            for k, layer in _layers(key[which], rows[which], tops[which], line[which]):
-                _put(into, k, layer)
-
-    def _heights_of(self, z: FloatArray, extrudes: BoolArray) -> IntArray:
-        """Return the height of the last extruding move, (n,)."""
-        last = np.maximum.accumulate(np.where(extrudes, np.arange(len(z)), -1))
-        height = np.where(last >= 0, np.rint(z[np.maximum(last, 0)] / _STEP_MM).astype(np.int64), self._height)
-        self._height = int(height[-1])
-        return height
-
-    def in_order(self) -> list[tuple[int, Layer]]:
-        """Return the layers with their numbers, from 0; BEFORE, if anything comes before the first."""
-        if self._numbered:
-            before = [(BEFORE, _together(self._heights.values()))] if self._heights else []
-            return before + sorted(self._numbered.items())
-        heights = dict(sorted(self._heights.items()))
-        start = heights.pop(_NOWHERE, None)
-        layers = list(heights.values())
-        if sum(layer.extruding for layer in layers) < FEW_MOVES * len(layers):
-            layers = _banded(heights)
-        return ([] if start is None else [(BEFORE, start)]) + list(enumerate(layers))
-
-
-def _put(layers: dict[int, Layer], key: int, layer: Layer) -> None:
-    layers[key] = layers[key].with_more(layer) if key in layers else layer
-
-
-def _together(layers: Iterable[Layer]) -> Layer:
-    first, *others = layers
-    for other in others:
-        first = first.with_more(other)
-    return first
-
-
-def _banded(heights: dict[int, Layer]) -> list[Layer]:
-    bands: dict[int, Layer] = {}
-    for height, layer in heights.items():
-        _put(bands, height // round(SLOPE_MM / _STEP_MM), layer)
-    return list(bands.values())
-
-
-def _layers(keys: IntArray, rows: FloatArray, tops: FloatArray, line: IntArray) -> Iterator[tuple[int, Layer]]:
-    """Yield layers of moves by their key. tops : (n,) mm, -inf where nothing is extruded."""
-    flows = np.isfinite(tops)
-    for key, row, first in summed(keys, np.column_stack([rows, flows])):
-        yield key, Layer(row[:-1], int(line[first]), float(tops[keys == key].max()), round(float(row[-1])))
+        return Layer(self.row + other.row, min(self.line, other.line), max(self.z_mm, other.z_mm))
 
 
 def summed(keys: IntArray, rows: FloatArray) -> Iterator[tuple[int, FloatArray, int]]:
@@ -329,7 +236,7 @@ class Statistics:
         ALL_OF: "spent",
         "slicer_time_s": "slicer_s",
         "features": "spent_by_feature",
-        "layers": "numbered_layers",
+        "layers": "layers_in_order",
         "unknown": "unknown_waits",
     }
 
@@ -338,10 +245,12 @@ class Statistics:
     filament_mm: float = 0.0
     slicer_s: float | None = None  # that the slicer's comment states
     features: dict[str, FloatArray] = field(default_factory=dict)
-    layers: Layers = field(default_factory=Layers)
+    layers: dict[int, Layer] = field(default_factory=dict)  # by number, or key of height before the first one
     unknown: dict[tuple[str, str], Unknown] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     _feature: str = UNNAMED
+    _layer: int = BEFORE
+    _height: int = _HEIGHT_0  # key of the last extruding move's
     _fed_mm: float = 0.0
     _pulled_mm: float = 0.0  # how far back filament has been pulled just now, as a negative number
     _time_was: bytes | None = None  # of the line that comes next
@@ -362,9 +271,16 @@ class Statistics:
         return {name: Spent.of(row) for name, row in self.features.items()}
 
     @property
-    def numbered_layers(self) -> list[NumberedLayer]:
-        """The layers in their order."""
-        return [NumberedLayer(None if k == BEFORE else k, each) for k, each in self.layers.in_order()]
+    def layers_in_order(self) -> list[Layer]:
+        """The lines before the first layer, if any, and the layers: by the file's comments, or else by height."""
+        keys = sorted(self.layers)
+        heights, named = [k for k in keys if k < 0], [k for k in keys if k >= 0]
+        if named:
+            before = [reduce(Layer.with_more, map(self.layers.__getitem__, heights))] if heights else []
+            rows = [*((BEFORE, each) for each in before), *((k, self.layers[k]) for k in named)]
+        else:  # the lowest key is of lines before any extrusion
+            rows = list(enumerate(map(self.layers.__getitem__, heights), BEFORE if _HEIGHT_0 in heights else 0))
+        return [replace(layer, number=number) for number, layer in rows]
 
     @property
     def unknown_waits(self) -> list[Unknown]:
@@ -381,7 +297,7 @@ class Statistics:
         marks = self._read(part, raw_s)
         if part.plan is not None and part.last > part.first:
             self._add_moves(part, part.plan.duration[part.first : part.last], marks)
-        self.layers.leave(len(marks.layers))
+        self._layer += len(marks.layers)
         self._feature = marks.names[-1]
         self.warnings += part.program.warnings
 
@@ -421,7 +337,8 @@ class Statistics:
         row = np.zeros(COLUMNS)
         row[kind] = seconds
         _add_row(self.features, marks.names[-1], row)
-        self.layers.wait(len(marks.layers), row, number + event.line)
+        layer = self._layer + len(marks.layers)
+        self._add_layer(self._height if layer == BEFORE else layer, Layer(row, number + event.line))
 
     def _add_moves(self, part: PlannedSlice, seconds: FloatArray, marks: _Marks) -> None:
         moves, counted = part.program.moves, slice(part.first, part.last)
@@ -435,8 +352,24 @@ class Statistics:
         self.moves += len(np.unique(line))
         for k, row, _ in summed(np.searchsorted(marks.features, line, side="right"), rows):
             _add_row(self.features, marks.names[k], row)
-        begun = np.searchsorted(marks.layers, line, side="right")
-        self.layers.add(begun, rows, moves.end[counted, 2], kind == EXTRUDING, part.program.first_line + 1 + line)
+        number = self._layer + np.searchsorted(marks.layers, line, side="right")
+        tops = np.where(kind == EXTRUDING, moves.end[counted, 2], -np.inf)
+        keys_of_moves = np.where(number == BEFORE, self._heights(tops), number)
+        for k, row, first in summed(keys_of_moves, rows):
+            top = float(tops[keys_of_moves == k].max())
+            self._add_layer(k, Layer(row, part.program.first_line + 1 + int(line[first]), top))
+
+    def _heights(self, tops: FloatArray) -> IntArray:
+        """Return the key of each move's height, that of the last extruding move; tops : (n,) mm, or -inf."""
+        last = np.maximum.accumulate(np.where(np.isfinite(tops), np.arange(len(tops)), -1))
+        height = 1 + np.floor(np.maximum(tops[np.maximum(last, 0)], 0.0) / BAND_MM + 0.5).astype(np.int64)
+        heights = np.where(last >= 0, _HEIGHT_0 + height, self._height)
+        self._height = int(heights[-1])
+        return heights
+
+    def _add_layer(self, key: int, layer: Layer) -> None:
+        known = self.layers.get(key)
+        self.layers[key] = layer if known is None else known.with_more(layer)
 
     def _feed(self, fed: FloatArray) -> None:
         """Count retractions, and new filament: retracted filament that is fed again does not count."""

@@ -34,9 +34,9 @@ def estimate_figure(estimate: Estimate) -> Figure:
 
 
 def _layers(axes: Axes, statistics: Statistics) -> None:
-    layers = statistics.layers.in_order()
-    number = np.array([number for number, _ in layers])
-    rows = np.stack([layer.row[: WAITING + 1] for _, layer in layers]) / 60
+    layers = statistics.layers_in_order
+    number = np.array([layer.number for layer in layers])
+    rows = np.stack([layer.row[: WAITING + 1] for layer in layers]) / 60
     below = np.zeros(len(rows))
     edges = np.append(number, number[-1] + 1) - 0.5
     for kind, column, colour in zip(KINDS, rows.T, COLOURS, strict=True):
