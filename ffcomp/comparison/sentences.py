@@ -15,7 +15,7 @@ WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: bel
 def answer_of(comparison: Comparison) -> Answer:
     """Return what people are shown of a comparison, wherever they look."""
     step = comparison.expected.next_step if comparison.expected else ""
-    facts = [*findings(comparison), *_method_facts(comparison)]
+    facts = [*_method_facts(comparison), *findings(comparison)]
     return Answer(worth(comparison), facts, cautions(comparison), [step] if step else [])
 
 
@@ -27,6 +27,8 @@ def worth(comparison: Comparison) -> str:
     if not ours.peaks.within_limits:
         return f"Worth it? No: {at}ffcomp asks the carriages for more than the machine file allows."
     left, theirs, before, shaper, where = _weighed(comparison)
+    if left > TIE_RATIO * before:
+        return f"Worth it? No: {at}ffcomp makes this print worse{where}: {um(left)} µm, without it {um(before)}."
     if left >= theirs / TIE_RATIO:
         as_good = "as good" if left <= TIE_RATIO * theirs else "better"
         sentence = f"Worth it? No: {at}the best input shaper ({shaper}) is {as_good} on this print{where}"
@@ -71,12 +73,9 @@ def _highest(quality: EqualQuality) -> str:
 
 
 def findings(comparison: Comparison) -> list[Fact]:
-    """Return the named findings, the most important first."""
+    """Return what stands below the methods: how it was found, and what limits it."""
     named = (
-        ("Against no compensation", _against_none(comparison)),
-        ("Against shapers", _against_best(comparison)),
         ("Inverse", _written(comparison)),
-        ("At equal quality", _equal_quality(comparison)),
         ("Limits", _limits(comparison)),
         ("Evaluated", comparison.sampling),
         ("Marlin", comparison.settings.get("Marlin", "")),
@@ -108,55 +107,6 @@ def _numbers(comparison: Comparison, method: Method) -> Iterator[str]:
         yield "beyond the carriages' limits"
 
 
-def _against_none(comparison: Comparison) -> str:
-    none, ours = comparison.seen(comparison.none), comparison.seen(comparison.ours)
-    before, after = none.contour_rms_um, ours.contour_rms_um
-    where = "Where plastic flows, the"
-    if not comparison.extrudes:
-        where = "No plastic flows in the evaluated part; over all moves, the"
-    numbers = (
-        f"{where} nozzle is {um(before)} µm (rms) off the reference path without compensation and {um(after)} µm with "
-        "ffcomp"
-    )
-    tails = (
-        f"99 % of the time it stays within {um(ours.contour_p99_um)} µm, without compensation within "
-        f"{um(none.contour_p99_um)} µm"
-    )
-    if after > TIE_RATIO * before:
-        return f"{numbers}: ffcomp makes this print worse, do not use it here; {tails}."
-    if before <= TIE_RATIO * after:
-        return f"{numbers}: no difference worth the trouble; {tails}."
-    return f"{numbers}: {times(before / after)} less; {tails}."
-
-
-def _against_best(comparison: Comparison) -> str:
-    best, ours = comparison.best, comparison.ours
-    best_um, ours_um = comparison.rms_um(best), comparison.rms_um(ours)
-    usual = _calibrated(comparison)
-    settings = best.tuning.partition(": ")[0]
-    sentence = f"The best fixed input shaper ({nick(best)}, {settings}) leaves {um(best_um)} µm"
-    if ours_um > TIE_RATIO * best_um:
-        asked, by_ours = best.peaks.acceleration_mm_per_s2, ours.peaks.acceleration_mm_per_s2
-        harder = ""
-        if asked > TIE_RATIO * by_ours:
-            harder = f" if the carriages can do {acceleration(asked)}, where ffcomp needs {acceleration(by_ours)}"
-        return f"{sentence}: {times(ours_um / best_um)} less than ffcomp. Use the shaper{harder}.{usual}"
-    if best_um <= TIE_RATIO * ours_um:
-        return f"{sentence}, the same as ffcomp.{usual}"
-    return f"{sentence}: {times(best_um / ours_um)} as much as ffcomp.{usual}"
-
-
-def _calibrated(comparison: Comparison) -> str:
-    """State what owners have: the best shaper that a firmware's own calibration sets."""
-    usual = [method for method in comparison.methods.values() if method.family == "calibrated"]
-    if not usual:
-        return ""
-    first = min(usual, key=comparison.rms_um)
-    return (
-        f" Set by the firmware's own resonance test, shapers leave {um(comparison.rms_um(first))} µm ({nick(first)})."
-    )
-
-
 def _written(comparison: Comparison) -> str:
     """State which inverse `compensate` uses with this machine file, if not the plain one, and the plain one's error."""
     plain = comparison.methods.get("fbs-lpv")
@@ -170,20 +120,6 @@ def _written(comparison: Comparison) -> str:
     )
 
 
-def _equal_quality(comparison: Comparison) -> str:
-    quality, rival, none = comparison.ours.equal_quality, comparison.fastest_shaper, comparison.none.equal_quality
-    if quality is None:
-        return ""
-    parts, saved = [f"ffcomp {_speed(quality)}"], ""
-    if rival is not None and rival.equal_quality is not None:
-        parts.append(f"the fastest shaper ({rival.label}) {_speed(rival.equal_quality)}")
-        saved = _saved(rival.equal_quality, quality)
-    if none is not None:
-        parts.append(f"no compensation {_speed(none)}")
-    bound = f"If 99 % of the contour error must stay below {comparison.quality_bound_um:g} µm"
-    return f"{bound}: {'; '.join(parts)}.{saved}"
-
-
 def _speed(quality: EqualQuality) -> str:
     highest, whole = acceleration(quality.acceleration_mm_per_s2), clock(quality.print_time_s)
     if not quality.reached:
@@ -191,17 +127,6 @@ def _speed(quality: EqualQuality) -> str:
     if quality.capped:
         return f"keeps it even at {highest}, the highest that was tried (whole print {whole})"
     return f"keeps it up to {highest} (whole print {whole})"
-
-
-def _saved(theirs: EqualQuality, quality: EqualQuality) -> str:
-    """State the time saved against the shaper, where both keep the bound."""
-    if not (quality.reached and theirs.reached):
-        return ""
-    share = 1 - quality.print_time_s / theirs.print_time_s
-    if abs(share) < 0.005:
-        return " That saves no time on this print."
-    word = "less" if share > 0 else "more"
-    return f" With ffcomp that is {100 * abs(share):.0f} % {word} print time than with the shaper."
 
 
 def _limits(comparison: Comparison) -> str:
@@ -249,11 +174,6 @@ def _plant(comparison: Comparison) -> str:
 def nick(method: Method) -> str:
     """Return the label without its family, where that is known: `MZV`, `MZV, z too`, `ffcomp`."""
     return method.label.removesuffix(f", {method.family}")
-
-
-def times(ratio: float) -> str:
-    """Format a ratio: `57 times`, `6.4 times`."""
-    return f"{ratio:.0f} times" if ratio >= 9.95 else f"{ratio:.1f} times"
 
 
 def acceleration(mm_per_s2: float) -> str:

@@ -60,6 +60,13 @@ def test_limits_and_warnings_are_in_the_verdict() -> None:
     assert "allows" not in " ".join(verdict(comparison()))
 
 
+def test_a_print_that_becomes_worse_is_said_first() -> None:
+    found = comparison()
+    worse = replace(found.ours.extruding, contour_rms_um=2.0 * found.none.extruding.contour_rms_um)
+    said = changed(found, "fbs-lpv", extruding=worse).headline
+    assert said.startswith("Worth it? No: ") and "ffcomp makes this print worse" in said
+
+
 # ---- figures and page ----------------------------------------------------------------------------
 
 
