@@ -10,6 +10,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.errors import FfcompError
 from ffcomp.inverse.settings import effort_curve
 from ffcomp.measurement.frf import KEYS
@@ -146,6 +147,19 @@ def test_the_tables_of_the_explanation_are_what_comes_out() -> None:
         bandwidth, _, knee = frequency.strip("*").partition(", the ")
         assert known[bandwidth] == cells
         assert (f"{curve.knee_hz:.1f}" == bandwidth) == (knee == "knee")
+
+
+def test_the_pages_quote_the_thresholds_of_the_search() -> None:
+    left, dominant, added = (f"{100 * x:.0f} %" for x in (SETTINGS.left, SETTINGS.dominant, SETTINGS.added_share))
+    quoted = {
+        "DIAGNOSE.md": [f"at least {dominant} at places"],
+        "explanation/measuring_and_diagnosis.md": [
+            *(f"remove {added} of the discrepancy", f"at most {left} of the discrepancy"),
+            *(f"explains {dominant} where it was left", f"leave {SETTINGS.ahead:g} times as much"),
+        ],
+    }
+    texts = {page: (ROOT / "docs" / page).read_text(encoding="utf-8") for page in quoted}
+    assert [(page, each) for page, those in quoted.items() for each in those if each not in texts[page]] == []
 
 
 # ---- the map -------------------------------------------------------------------------------------
