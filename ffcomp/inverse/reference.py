@@ -162,7 +162,8 @@ class Reference:
 
         A firmware slows down where the filament per mm changes. Near a hard corner the command runs ahead of its path
         or behind it, so the plan's filament per mm of the command changes. Here each line keeps its filament per mm.
-        The sum around the segments stays the same, and nothing flows where nothing did.
+        The sum around the segments stays the same, nothing flows where nothing did, and a retraction stays that of the
+        plan: in one sum with it, the flow before would grow.
 
         Parameters
         ----------
@@ -177,12 +178,13 @@ class Reference:
         planned = np.diff(position[:, 3])
         way = np.sqrt((np.diff(vertices, axis=0) ** 2).sum(axis=1))
         by_plan = np.diff(self._travelled(position[:, :3]))
-        goes = np.flatnonzero(by_plan > STANDS_MM)
+        fed = planned >= 0.0
+        goes = np.flatnonzero(fed & (by_plan > STANDS_MM))
         if not len(goes):
             return
         nearest = goes[np.minimum(np.searchsorted(goes, np.arange(self.knots)), len(goes) - 1)]
-        by_way = np.where(planned < 0.0, planned, planned[nearest] / by_plan[nearest] * way)
-        weight, change = _near(around, FLOW_KNOTS), np.zeros(self.knots)
+        by_way = planned[nearest] / by_plan[nearest] * way
+        weight, change = _near(around, FLOW_KNOTS) * fed, np.zeros(self.knots)
         knots = sorted({rounded for t in fixed for rounded in _knots_around(self.knot_of(t))})
         for part in _stretches(weight > 0.0, knots):
             by_way_mm = float(weight[part] @ by_way[part])
