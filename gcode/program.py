@@ -152,6 +152,11 @@ class Program:
         """Return the line of a move in the file, from 1."""
         return self.first_line + int(self.moves.line[move]) + 1
 
+    @property
+    def size(self) -> int:
+        """Bytes of its lines."""
+        return sum(map(len, self.lines))
+
 
 class EventQueue:
     """Events in the file's order, consumed move by move."""

@@ -53,7 +53,7 @@ def compensate_file(
         stamps = {name: find_stamp(*ends_of(text)[:2]) for name, text in container.prints.items()}
         again = options.force or options.steps is not None
         todo = {
-            name: options.job(text, f"{path}/{name}" if name else path, machine, stamps[name], jobs)
+            name: Job(text, f"{path}/{name}" if name else path, machine, options, stamps[name] is not None, jobs)
             for name, text in container.prints.items()
             if again or stamps[name] is None
         }

@@ -560,7 +560,10 @@ class GcodeRenderer(Writer):
 
     def sliced(self, section: Section) -> Iterator[bytes]:
         """Write the original lines of a section."""
-        yield from self.keep(section, self._events.up_to(section.last - 1))
+        if section.travels:
+            yield from self.keep(section, self._events.up_to(section.last - 1))
+        else:
+            yield from self.extrude(section)
 
     def finish(self) -> Iterator[bytes]:
         """Write the lines after the last section, and restore the file's limits."""

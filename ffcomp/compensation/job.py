@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -12,7 +11,6 @@ from itertools import chain, islice
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from ffcomp.compensation import chunks
 from ffcomp.compensation.chunks import Chunk, Splitting, split_chunks
@@ -47,7 +45,7 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
-from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
+from gcode.embedded import WITHOUT_ORIGINAL, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.metadata import Timed, filament_change_s
 from gcode.program import Moves, Program
 from models.machine import Machine
@@ -109,10 +107,6 @@ class Options:
             bound=bound,
             robust=choice,
         )
-
-    def job(self, source: Source, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Job:
-        """Return the request for a print. With a stamp, the original that the file keeps is compensated."""
-        return Job(source, path, machine, self, stamp is not None, jobs)
 
 
 def _bound_of(request: CompensateOptions) -> Bound | None:
@@ -176,7 +170,8 @@ class Job:
             sink = self._sink(target, steps)
             stack.callback(sink.close)
             lines = Lines(self, progress)
-            deque(lines.of(self.outputs(reach, StepStream(sink), steps.plain), reach), maxlen=0)
+            for _ in lines.of(self.outputs(reach, StepStream(sink), steps.plain), reach):
+                pass  # steps are no text
             predicted = _forecast(lines.statistics, self.machine)
             totals = sink.finish()
         result = self.result(lines, time.perf_counter() - started, predicted)
@@ -280,28 +275,17 @@ class Job:
     def _footprint(self) -> Footprint | None:
         return footprint_of(self._programs(NOWHERE))
 
-    def outputs(
-        self, reach: Reach, steps: StepStream | None = None, plain: bool = False
-    ) -> Iterator[tuple[Iterable[Output], int]]:
-        """Yield the output of each chunk, and its size in bytes of the print; plain: uncompensated steps."""
+    def outputs(self, reach: Reach, steps: StepStream | None = None, plain: bool = False) -> Iterator[Iterable[Output]]:
+        """Return the output of each chunk, part by part; plain: uncompensated steps."""
         split, context = self._split(reach, plain)
         if steps is not None:
-            yield from ((_stepped(chunk, context, steps), _size(chunk.program)) for chunk in split)
-            return
+            return (_stepped(chunk, context, steps) for chunk in split)
         if self.jobs == 1:
-            yield from ((_planned_and_compensated(chunk, context), _size(chunk.program)) for chunk in split)
-            return
+            return (_compensated(chunk, context) for chunk in split)
         from joblib import Parallel, delayed
 
-        sizes: deque[int] = deque()
-
-        def tasks() -> Iterator[Any]:
-            for chunk in split:
-                sizes.append(_size(chunk.program))
-                yield delayed(_work)(chunk, context)
-
         pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
-        yield from (([output], sizes.popleft()) for output in pool(tasks()))
+        return ((output,) for output in pool(delayed(_work)(chunk, context) for chunk in split))
 
     def _split(self, reach: Reach, plain: bool = False) -> tuple[Iterator[Chunk], Context]:
         """Split the print into chunks; plain: to be written uncompensated."""
@@ -321,7 +305,7 @@ class Job:
     def _share(self, first: Program) -> float:
         """Return how much of the print is simulated while it is compensated; above 1: all of it."""
         first_s = float((lines_of(first.moves).length / first.moves.speed).sum())
-        quickest_s = first_s * self.size / max(_size(first), 1)
+        quickest_s = first_s * self.size / max(first.size, 1)
         return LONGEST_S / max(quickest_s, 1e-9)
 
     def _parts(self, reach: Reach) -> Iterator[Program]:
@@ -393,24 +377,24 @@ class Lines:
         self.size = replace(self.size, written=written)
         self.value = job.result(self, time.perf_counter() - started, predicted)
 
-    def of(self, outputs: Iterable[tuple[Iterable[Output], int]], reach: Reach) -> Iterator[bytes]:
-        """Yield the text of chunks, of some bytes of the print each, and add up their statistics."""
-        job, done = self._job, 0
+    def of(self, outputs: Iterable[Iterable[Output]], reach: Reach) -> Iterator[bytes]:
+        """Yield the text of chunks, part by part, and add up their statistics."""
+        job, done = self._job, 0.0
         self.statistics = job.at_first()
-        for chunk, size in outputs:
-            of_chunk, begun_s = Statistics(), self.statistics.print_time_s
+        for chunk in outputs:
+            of_chunk, begun_s, begun = Statistics(), self.statistics.print_time_s, done
             for output in chunk:
                 yield from (
                     Timed.at(line, begun_s + line.at_s) if isinstance(line, Timed) else line for line in output.text
                 )
                 of_chunk += output.statistics
-                self._progress(min((done + output.share * size) / max(job.size, 1), 1.0))
+                done = begun + output.done
+                self._progress(min(done / max(job.size, 1), 1.0))
             self.statistics += of_chunk
-            done += size
-        self.statistics, self.size = self.statistics + Statistics(warnings=reach.warnings), FileSize(done)
+        self.statistics, self.size = self.statistics + Statistics(warnings=reach.warnings), FileSize(int(done))
 
 
-def _planned_and_compensated(chunk: Chunk, context: Context) -> Iterator[Output]:
+def _compensated(chunk: Chunk, context: Context) -> Iterator[Output]:
     planned = plan_chunk(chunk, context)
     yield from compensated_sections(planned, context, GcodeRenderer(planned, context))
 
@@ -420,22 +404,18 @@ def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterable[Outp
     if not context.plain:
         return compensated_sections(planned, context, StepRenderer(steps, planned, context))
     steps.uncompensated(planned.planned)
-    return [Output((), planned.statistics)]
+    return [Output((), planned.statistics, chunk.program.size)]
 
 
 def _work(chunk: Chunk, context: Context) -> Output:
     """Compensate a chunk in another process."""
-    outputs = list(_planned_and_compensated(chunk, context))
+    outputs = list(_compensated(chunk, context))
     context.model.save_cache()
     text = list(joined(chain.from_iterable(output.text for output in outputs)))
-    return Output(text, sum((output.statistics for output in outputs), Statistics()))
+    return Output(text, sum((output.statistics for output in outputs), Statistics()), chunk.program.size)
 
 
 def _forecast(statistics: Statistics, machine: Machine) -> Forecast:
     """Evaluate the sections that were sampled for the prediction."""
     samples = statistics.predicted
     return NO_FORECAST if samples is None else forecast(lambda: samples.forecast(machine))
-
-
-def _size(program: Program) -> int:
-    return sum(map(len, program.lines))

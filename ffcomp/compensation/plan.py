@@ -100,8 +100,8 @@ def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
 def _left_behind(chunk: Chunk, past: PlannedProgram, model: InverseModel) -> Resting | None:
     """Return the plant after the moves before a chunk, on the chunk's clock; None: none of them travels."""
     resting = None
-    for solved in solutions(past, model):
-        resting = Resting.after(solved, past)
+    for _, solved in solutions(past, model):
+        resting = resting if solved is None else Resting.after(solved, past)
     if resting is None:
         return None
     dwells_s = sum(event.dwell_s for event in chunk.since if event.move == 0)

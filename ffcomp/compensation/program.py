@@ -42,7 +42,7 @@ class Output(NamedTuple):
 
     text: Sequence[bytes]  # pieces of whole lines; none where the renderer writes elsewhere
     statistics: Statistics  # of this part
-    share: float = 1.0  # of the chunk that is done
+    done: float  # bytes of the print that the chunk's output up to here is of
 
 
 def compensated_sections(
@@ -56,14 +56,16 @@ def compensated_sections(
     context : of its file
     renderer : writes this chunk
     """
-    planned, extent, model = chunk.planned, chunk.chunk.extent, context.model
+    planned, extent, model, size = chunk.planned, chunk.chunk.extent, context.model, chunk.chunk.program.size
     prediction = Prediction(model, context.share, context.flavor) if chunk.simulated else None
     checks: list[BoundCheck | PressureCheck] = []
     if context.bound is not None:
         checks.append(BoundCheck(context.bound, planned.program, chunk.chunk.feature, model.settings))
     if model.settings.pressure is not None:
         checks.append(PressureCheck(model.settings.pressure, planned.program))
-    solved_sections = solutions(
+    yield Output((), chunk.statistics, 0.0)
+    end_t = planned.trajectory.end_t or 1.0
+    for section, solved in solutions(
         planned,
         model,
         chunk.before,
@@ -71,14 +73,11 @@ def compensated_sections(
         keep_responses=context.bound is not None,
         layers_before=chunk.chunk.layers,
         extent=extent,
-    )
-    yield Output((), chunk.statistics, 0.0)
-    end_t = planned.trajectory.end_t or 1.0
-    for section in planned.sections:
+    ):
         text, statistics = [*renderer.before(section)], Statistics()
-        if not section.travels:
-            text += renderer.extrude(section)
-        elif (solved := next(solved_sections)).fault:
+        if solved is None:
+            text += renderer.sliced(section)
+        elif solved.fault:
             text += renderer.sliced(section)
             statistics = of_unsafe(section, planned, solved.fault)
         else:
@@ -88,17 +87,15 @@ def compensated_sections(
                 check.add(solved)
             if prediction is not None:
                 prediction.add(solved, renderer.written)
-        yield Output(text, statistics, min(section.end_t / end_t, 1.0))
+        yield Output(text, statistics, min(section.end_t / end_t, 1.0) * size)
     text = [*renderer.finish()]
-    yield Output(
-        text,
-        Statistics(
-            segments=renderer.segments,
-            print_time_s=renderer.late_s,
-            warnings=tuple(chain.from_iterable(check.warnings() for check in checks)),
-            predicted=None if prediction is None else prediction.samples,
-        ),
+    statistics = Statistics(
+        segments=renderer.segments,
+        print_time_s=renderer.late_s,
+        warnings=tuple(chain.from_iterable(check.warnings() for check in checks)),
+        predicted=None if prediction is None else prediction.samples,
     )
+    yield Output(text, statistics, size)
 
 
 PEAK_LEVEL = 2.6  # times the bound, that single spots may have: a little more than in the search

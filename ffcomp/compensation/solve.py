@@ -16,6 +16,7 @@ from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.trajectory import Section
 from gcode.layers import LayerLookup
 from gcode.program import EventKind, Program
 from gcode.slicing import some
@@ -58,8 +59,10 @@ def solutions(
     keep_responses: bool = False,
     layers_before: int = 0,
     extent: Extent = WHOLE,
-) -> Iterator[SolvedSection]:
-    """Solve the sections that travel in order; each begins with the vibration that the one before it leaves.
+) -> Iterator[tuple[Section, SolvedSection | None]]:
+    """Yield the sections in order, each with its solution, or None where only filament moves.
+
+    Each solution begins with the vibration that the one before it leaves.
 
     Parameters
     ----------
@@ -75,16 +78,20 @@ def solutions(
     ------
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    sections = _linear(planned, model, before, wants, keep_responses, layers_before, extent)
-    return sections if model.printer is None else _nonlinear(sections, planned, model, model.printer, extent)
+    travelling = _linear(planned, model, before, wants, keep_responses, layers_before, extent)
+    if model.printer is not None:
+        travelling = _corrected(list(travelling), planned, model, model.printer, extent)
+    for section in planned.sections:
+        yield section, next(travelling) if section.travels else None
 
 
-def _nonlinear(
-    sections: Iterator[SolvedSection], planned: PlannedProgram, model: InverseModel, printer: Machine, extent: Extent
+def _corrected(
+    sections: list[SolvedSection], planned: PlannedProgram, model: InverseModel, printer: Machine, extent: Extent
 ) -> Iterator[SolvedSection]:
-    from ffcomp.inverse.nonlinear import correct_sections  # with the whole printer: effects only
+    """Correct linear solutions by the whole printer, effects included."""
+    from ffcomp.inverse.nonlinear import correct_sections
 
-    for solved in correct_sections(model, printer, list(sections)):
+    for solved in correct_sections(model, printer, sections):
         whole = solved.knots == (0, solved.reference.knots)
         yield _checked(solved, planned, model, WHOLE if whole else extent)
 

@@ -94,10 +94,6 @@ class StepRenderer:
             self._stream.clock_s += self._waits_s.get(section.first, 0.0)
         return ()
 
-    def extrude(self, section: Section) -> Iterable[bytes]:
-        """Write a section that moves only the extruder."""
-        return self.sliced(section)
-
     def sliced(self, section: Section) -> Iterable[bytes]:
         """Write a section by its plan, and give the lines in it their ticks."""
         self._tell_height(section.first)
