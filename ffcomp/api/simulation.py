@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from ffcomp.api.machines import load_machine
@@ -10,7 +9,6 @@ from ffcomp.compensation.placement import NOWHERE, Placement, place_print
 from ffcomp.request import function
 from ffcomp.simulation.command import Command
 from ffcomp.simulation.request import SimulateRequest
-from ffcomp.simulation.simulation import Request as Part
 from ffcomp.simulation.simulation import Simulation, read_command, simulate_command
 from ffcomp.steps.archive import is_step_archive
 from gcode.container import read_bytes
@@ -40,15 +38,6 @@ def _placement(request: SimulateRequest, machine: Machine) -> Placement:
     return place_print(data, str(path), machine, request.flavor)
 
 
-def run_simulation(request: SimulateRequest, command: Command, machine: Machine, plant: Machine) -> Simulation:
-    """Simulate a command, and record it where that is requested."""
-    part = Part(request.rate_hz, request.from_s, request.to_s, request.gravity, request.signals)
-    target = None if request.recording is None else Path(request.recording)
-    return simulate_command(
-        command, machine, plant, part, path=str(request.file), target=target, progress=request.progress
-    )
-
-
 def _simulate(request: SimulateRequest) -> Simulation:
     """Simulate a print or step timings on the nonlinear printer.
 
@@ -64,8 +53,7 @@ def _simulate(request: SimulateRequest) -> Simulation:
     --------
     >>> ffcomp.simulate("out.gcode", "mp-delta-pro", to_s=4.0).error_um.max()
     """
-    command, machine, plant, warnings = read_simulation(request)
-    return replace(run_simulation(request, command, machine, plant), warnings=warnings)
+    return simulate_command(request, *read_simulation(request))
 
 
 simulate = function(SimulateRequest, _simulate)

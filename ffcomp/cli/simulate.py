@@ -108,7 +108,8 @@ def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder:
 def _simulate(request: SimulateRequest) -> Simulation:
     from dataclasses import replace
 
-    from ffcomp.api.simulation import read_simulation, run_simulation
+    from ffcomp.api.simulation import read_simulation
+    from ffcomp.simulation.simulation import simulate_command
 
     command, machine, plant, warnings = read_simulation(request)
     parts = command.between(request.from_s, request.to_s)
@@ -119,5 +120,4 @@ def _simulate(request: SimulateRequest) -> Simulation:
             "choose with --from and --to."
         )
     with Progress(sum(end - begin for _, begin, end in parts), "simulating") as progress:
-        done = run_simulation(replace(request, progress=progress), command, machine, plant)
-    return replace(done, warnings=warnings)
+        return simulate_command(replace(request, progress=progress), command, machine, plant, warnings)

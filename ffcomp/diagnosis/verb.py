@@ -33,7 +33,8 @@ from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
 from ffcomp.result import Fact
 from ffcomp.result import Result as Answered
-from ffcomp.simulation.simulation import Request, read_command, simulate_command
+from ffcomp.simulation.request import SimulateRequest
+from ffcomp.simulation.simulation import read_command, simulate_command
 from gcode.atomic_write import replace_atomically
 from gcode.errors import GcodeError
 from models.effects.catalogue import CATALOGUE
@@ -246,8 +247,7 @@ def _compensated(sample: Path, machine: Machine) -> Path:
 
 def _contour_um(file: Path, believed: Machine, true: Machine) -> float:
     command, _ = read_command(file, believed, (0.0, 0.0), "")
-    simulation = simulate_command(command, believed, true, Request(1600.0, 0.0, inf, True), path=str(file))
-    return simulation.track.contour_rms_um
+    return simulate_command(SimulateRequest(file, believed), command, believed, true).track.contour_rms_um
 
 
 def sample_print() -> str:

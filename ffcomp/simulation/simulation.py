@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,6 +17,7 @@ from ffcomp.result import Fact, Result, clock
 from ffcomp.simulation.command import Command, CommandSection, command_peaks
 from ffcomp.simulation.command_files import read_gcode, steps_command
 from ffcomp.simulation.playback import Chunk, check_same_kinematics, levelled, play
+from ffcomp.simulation.request import SIGNALS, SimulateRequest
 from ffcomp.steps.archive import is_step_archive, read_steps
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
@@ -103,11 +103,8 @@ class Evaluator:
         )
 
 
-KINDS = ("acc", "pos")
-
-
 def recording_lines(
-    chunks: Iterable[Chunk], plant: Machine, comments: Mapping[str, str], kinds: Sequence[str] = KINDS
+    chunks: Iterable[Chunk], plant: Machine, comments: Mapping[str, str], kinds: Sequence[str] = SIGNALS
 ) -> Iterator[bytes]:
     """Yield the file chunk by chunk: comments, header, rows.
 
@@ -144,20 +141,6 @@ def _joined(chunks: Sequence[Chunk]) -> Chunk:
     return Chunk(chunks[0].section, t_s, carriage_mm, nozzle_mm, Signals(t_s, carriage, nozzle))
 
 
-Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Request:
-    """The part of the command that is simulated, and how it is recorded."""
-
-    rate_hz: float = 1600.0
-    from_s: float = 0.0
-    to_s: float = inf
-    gravity: bool = True
-    kinds: Sequence[str] = KINDS  # of the sensors in the recording
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Evaluation, Result):
     """A simulated command and its evaluation."""
@@ -177,7 +160,7 @@ class Simulation(Evaluation, Result):
 
     machine: Machine  # the one that the command was computed with
     plant: Machine  # the printer that moves
-    request: Request
+    request: SimulateRequest
     reference: str  # a sentence: the path that the nozzle is evaluated against
     simulated_s: float  # print time
     seconds: float  # of computing
@@ -251,14 +234,7 @@ def read_command(
 
 
 def simulate_command(
-    command: Command,
-    machine: Machine,
-    plant: Machine,
-    request: Request,
-    *,
-    path: str = "",
-    target: Path | None = None,
-    progress: Progress = lambda done_s: None,
+    request: SimulateRequest, command: Command, machine: Machine, plant: Machine, warnings: Sequence[str] = ()
 ) -> Simulation:
     """Execute a command, evaluate it, and record it.
 
@@ -267,13 +243,13 @@ def simulate_command(
 
     Parameters
     ----------
+    request : the part of the command, and its recording
     machine, plant : the one that the command was computed with, and the printer that moves
-    path : the command's file, as the user named it
-    target : the recording, replaced atomically. None: nothing is recorded
-    progress : called with the print seconds done so far
+    warnings : about the command
     """
     check_same_kinematics(machine, plant)
-    started = time.perf_counter()
+    started, path = time.perf_counter(), str(request.file)
+    target = None if request.recording is None else Path(request.recording)
     parts = command.between(request.from_s, request.to_s)
     simulated_s = sum(end - begin for _, begin, end in parts)
     evaluator = Evaluator(plant, request.rate_hz, request.gravity)
@@ -288,7 +264,7 @@ def simulate_command(
             evaluator.add(chunk)
             yield chunk
             rows += len(chunk.t_s)
-            progress(rows / request.rate_hz)
+            request.progress(rows / request.rate_hz)
 
     comments = {
         "made by": f"ffcomp v{__version__} simulate",
@@ -303,7 +279,7 @@ def simulate_command(
             for _ in evaluated():
                 pass
         else:
-            replace_atomically(target, recording_lines(evaluated(), plant, comments, request.kinds))
+            replace_atomically(target, recording_lines(evaluated(), plant, comments, request.signals))
     except UnreachableError as error:
         raise GcodeError(str(error), path=path) from error
     evaluation, seconds = vars(evaluator.evaluation()), time.perf_counter() - started
@@ -318,4 +294,5 @@ def simulate_command(
         rows=rows,
         path=path,
         recording=target,
+        warnings=warnings,
     )

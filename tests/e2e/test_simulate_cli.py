@@ -13,7 +13,8 @@ from ffcomp.cli.app import app
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.simulation import playback as playing
 from ffcomp.simulation.command_files import gcode_command
-from ffcomp.simulation.simulation import Request, read_command, simulate_command
+from ffcomp.simulation.request import SimulateRequest
+from ffcomp.simulation.simulation import read_command, simulate_command
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
 from tests.support.cli import CliRunner, Result
@@ -56,8 +57,8 @@ def test_the_track_is_that_of_an_independent_printer() -> None:
     """A plant that shares no line with ours, judged by other code."""
     original = judge.sample_print("ringing_tower", 75.0, 82.0)
     theirs = judge.judge(original, original.motion)
-    counted = Request(from_s=original.motion.begin_t + judge.SETTLE_S)
-    track = simulate_command(gcode_command(original.planned, MACHINE), MACHINE, MACHINE, counted).track
+    counted = SimulateRequest("print.gcode", MACHINE, from_s=original.motion.begin_t + judge.SETTLE_S)
+    track = simulate_command(counted, gcode_command(original.planned, MACHINE), MACHINE, MACHINE).track
     for key in ("contour_rms_um", "contour_p99_um", "tracking_rms_um", "tracking_rms_no_delay_um"):
         assert getattr(track, key) == pytest.approx(getattr(theirs, key), rel=0.005), key
     assert track.delay_s == pytest.approx(theirs.delay_s, abs=1e-6)

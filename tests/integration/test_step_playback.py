@@ -14,7 +14,8 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.simulation.command import Command
 from ffcomp.simulation.command_files import gcode_command, smoothed, staircase
 from ffcomp.simulation.playback import ROW_S, play
-from ffcomp.simulation.simulation import Request, read_command, simulate_command
+from ffcomp.simulation.request import SimulateRequest
+from ffcomp.simulation.simulation import read_command, simulate_command
 from ffcomp.steps.archive import MotorSteps
 from gcode.reader import read_program
 from models.arrays import constant
@@ -131,7 +132,8 @@ def test_a_print_as_steps_moves_the_nozzle_as_its_gcode_does(
     distance = apart_um(steps, whole)
     assert distance.max() < largest_um
     assert np.sqrt(np.mean(distance**2)) < rms_um
-    stepped, smooth = (simulate_command(each, MACHINE, MACHINE, Request()).track for each in (steps, whole))
+    request = SimulateRequest("print.npz", MACHINE)
+    stepped, smooth = (simulate_command(request, each, MACHINE, MACHINE).track for each in (steps, whole))
     assert stepped.contour_rms_um == pytest.approx(smooth.contour_rms_um, rel=0.05)
     assert stepped.delay_s == pytest.approx(smooth.delay_s, abs=2e-5)
     assert not warnings
