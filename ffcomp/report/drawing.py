@@ -48,6 +48,8 @@ ON_DARK = {  # what each colour becomes where the reader's screen is dark
     NEIGHBOUR: "#3b4857",
     NOISE: "#5b6878",
     GROUND: "#11171e",
+    "#56b4e9": "#e6d44c",  # AFTER has it there
+    "#6a4c93": "#b79be0",
 }
 RC: dict[Any, Any] = {
     "font.size": 9,

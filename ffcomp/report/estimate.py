@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ffcomp.estimation.engine import Estimate, seconds
 from ffcomp.estimation.statistics import BEFORE, KINDS, WAITING, Statistics
@@ -15,7 +16,7 @@ from ffcomp.report.drawing import RC, grid, layout
 from ffcomp.version import __version__
 from gcode.metadata import short
 
-COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#b8bec9")  # as KINDS
 MOST_FEATURES = 14
 
 
@@ -44,6 +45,7 @@ def _layers(axes: Axes, statistics: Statistics) -> None:
             axes.stairs(below + column, edges, baseline=below, fill=True, color=colour, label=kind, lw=0)
             below = below + column
     axes.set_xlabel("layer (-1: start of the file)" if number[0] == BEFORE else "layer")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_ylabel("minutes")
     axes.set_title("by layer")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=5, frameon=False)

@@ -107,7 +107,7 @@ def page_of(fit: MachineFit) -> Page:
     elif isinstance(fit, AxesFit):
         drawings = _panels_of_axes(fit).drawings()
     else:
-        return plain(fit)
+        return replace(plain(fit), title=fit.name)
     if fit.belts is not None:
         draw = partial(_alone, belts_panel, fit.belts)
         drawings.append(Drawing("", "Belts", fit.belts.sentence.partition(". ")[0], "", 4.6, 3.4, draw))

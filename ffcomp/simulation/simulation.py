@@ -190,7 +190,7 @@ class Simulation(Evaluation, Result):
     @property
     def facts(self) -> list[Fact]:
         """The simulated motion, and the demand on the carriages."""
-        track, speed = self.track, self.simulated_s / self.seconds
+        track = self.track
         facts = [
             ("Reference", self.reference),
             ("Effects", ", ".join(self.plant.effects) or "none"),
@@ -204,7 +204,7 @@ class Simulation(Evaluation, Result):
                 f"{self.peak_actuator_velocity_mm_per_s:.0f} mm/s and "
                 f"{track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s² at most",
             ),
-            ("Simulated", f"{clock(self.simulated_s)} in {self.seconds:.1f} s, {speed:.0f} times faster than printing"),
+            ("Simulated", f"{clock(self.simulated_s)} in {self.seconds:.1f} s"),
         ]
         written = f"{self.rows} samples at {self.request.rate_hz:g} Hz: {self.recording}"
         return facts if self.recording is None else [*facts, ("Recording", written)]
