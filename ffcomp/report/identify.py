@@ -106,8 +106,10 @@ def page_of(fit: MachineFit) -> Page:
         drawings = panels_of(fit.result).drawings()
     elif isinstance(fit, AxesFit):
         drawings = _panels_of_axes(fit).drawings()
-    else:
+    elif isinstance(fit, ScanFit) or fit.belts is not None:
         return replace(plain(fit), title=fit.name)
+    else:
+        return Page(fit.name, [f"method {fit.method}"], answer=replace(fit, output=None).answer)
     if fit.belts is not None:
         draw = partial(_alone, belts_panel, fit.belts)
         drawings.append(Drawing("", "Belts", fit.belts.sentence.partition(". ")[0], "", 4.6, 3.4, draw))
