@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from html import unescape
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from ffcomp.cli.common import answer
 from ffcomp.numerics.digits import um
 from ffcomp.report.show import show_figure
-from ffcomp.result import Answer
+from ffcomp.result import Answer, Result
 from ffcomp.serve.answers import answer_of
 from ffcomp.simulation.forecast import NO_FORECAST, forecast_in
 from ffcomp.simulation.preview import preview
@@ -75,37 +83,84 @@ def test_a_file_without_its_numbers_is_evaluated_and_says_so(print_file: Path) -
 
 
 SQUARE = b"G28\nG90\nM83\nG1 X10 Y0 Z20 F6000\nG1 X20 Y0 E.3\nG1 X20 Y10 E.3\nG1 X10 Y10 E.3\nG1 X10 Y0 E.3\n"
+VERBS = [  # in this order: a verb may read what an earlier one wrote
+    "compensate print.gcode -m mp-delta-pro -o out.gcode",
+    "show out.gcode -o out.svg",
+    "estimate print.gcode -m mp-delta-pro --layers",
+    "estimate print.gcode print.gcode -m mp-delta-pro",
+    "compare long.gcode -m mp-delta-pro --only mzv --quality-um 0",
+    "simulate out.gcode -m mp-delta-pro -o run-1.csv",
+    "gap run-1.csv -m mp-delta-pro",
+    "frf -m mp-delta-pro --at 0,0 --at -80,0",
+    "record plan -m mp-delta-pro -o moves.gcode --seconds 2 --at 0,0",
+    "record plan --for scan -m ender-3 -o page.gcode",
+    "identify fit resonances_x.csv -m ender-3",
+    "identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o better.toml",
+    "machines list",
+    "machines show ender-3",
+    "machines check mp-delta-pro-as-printed",
+    "machines diff mp-delta-pro kossel",
+    "machines import printer.cfg -o imported.toml",
+    "restore out.gcode -o again.gcode",
+]
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "print.gcode").write_bytes(SQUARE)
-    written(tmp_path, Delta().klipper(), "printer.cfg")
-    return tmp_path
+@dataclass(frozen=True)
+class Surfaces:
+    """What one run of a verb says, wherever people look; its headline stands in each."""
+
+    terminal: list[str]
+    objects: list[dict[str, Any]]
+    report: str
+
+    @property
+    def headlines(self) -> tuple[str, str, str, str]:
+        """On the terminal, as JSON, on the page of `serve` and on that of the report."""
+        (told,) = {json.dumps(each["answer"]) for each in self.objects}
+        lead = re.search(r'<p class="lead">(.*?)</p>', self.report, re.DOTALL)
+        assert lead is not None
+        plain = unescape(re.sub(r"</?code>", "", lead[1])).replace("\N{NO-BREAK SPACE}", " ")
+        answer = Answer(**json.loads(told))
+        assert self.terminal == list(answer.lines())
+        (headline,) = [line for line in self.terminal if line == answer.headline]
+        return headline, answer.headline, answer_of(self.objects[0]).headline, plain
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "machines list",
-        "machines show ender-3",
-        "machines check mp-delta-pro-as-printed",
-        "machines diff mp-delta-pro kossel",
-        "machines import printer.cfg -o imported.toml",
-        "frf -m mp-delta-pro --at 0,0 --at -80,0",
-        "estimate print.gcode -m mp-delta-pro --layers",
-        "estimate print.gcode print.gcode -m mp-delta-pro",
-        "record plan -m mp-delta-pro -o moves.gcode --seconds 2 --at 0,0",
-        "record plan --for scan -m ender-3 -o page.gcode",
-        "identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o better.toml",
-    ],
-)
-def test_the_terminal_prints_the_answer_of_the_object(words: str, folder: Path) -> None:
-    printed = ffcomp(*words.split(), "-q", cwd=folder)
-    for made in ("imported.toml", "better.toml"):
-        (folder / made).unlink(missing_ok=True)
-    objects = [json.loads(line) for line in ffcomp(*words.split(), "--json", cwd=folder).stdout.splitlines()]
-    assert printed.exit_code == 0, printed.output
-    assert {each["schema"].partition("/")[2] for each in objects} == {"1"}
-    assert list(Answer(**objects[0]["answer"]).lines()) == printed.stdout.splitlines()
-    assert objects[0]["answer"]["headline"] and len(printed.stdout.splitlines()) > 1
+def surfaces(words: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Surfaces:
+    """Run a verb once, and have its result printed in both ways."""
+    printed = list[str]()
+
+    def print_twice(result: Result, as_json: bool) -> None:
+        for way in (False, True):
+            with redirect_stdout(StringIO()) as out:
+                answer(result, way)
+            printed.append(out.getvalue())
+
+    monkeypatch.setattr("ffcomp.cli.command.answer", print_twice)
+    (folder / "report.html").unlink(missing_ok=True)
+    done = ffcomp(*words.split(), "--quiet", "--report", "report.html", cwd=folder)
+    assert done.exit_code == 0, done.output
+    text, objects = printed
+    report = (folder / "report.html").read_text(encoding="utf-8")
+    return Surfaces(text.splitlines(), [json.loads(line) for line in objects.splitlines()], report)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("verbs")
+    (folder / "print.gcode").write_bytes(SQUARE)
+    (folder / "long.gcode").write_bytes(squares(layers=1))
+    f = np.arange(5.0, 120.0)
+    power = 1e4 / ((1 - (f / 50) ** 2) ** 2 + (0.1 * f / 50) ** 2)
+    rows = np.column_stack([f, power, 0.01 * power, 0.01 * power, 1.02 * power])
+    np.savetxt(folder / "resonances_x.csv", rows, delimiter=",", header="freq,psd_x,psd_y,psd_z,psd_xyz", comments="")
+    written(folder, Delta().klipper(), "printer.cfg")
+    return folder
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("words", VERBS)
+def test_terminal_json_page_and_report_say_the_same(words: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = surfaces(words, folder, monkeypatch)
+    assert len(set(said.headlines)) == 1 and said.headlines[0]
+    assert {each["schema"].partition("/")[2] for each in said.objects} == {"1"}
