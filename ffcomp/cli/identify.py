@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ffcomp.cli.command import group, verb
-from ffcomp.identification.request import DecoupleRequest, FitRequest, RingingRequest, ScanRequest, UpdateRequest
+from ffcomp.identification.request import FitRequest, RingingRequest, ScanRequest, UpdateRequest
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
@@ -32,30 +32,6 @@ def fit(request: FitRequest) -> Result:
     start = load_plant(str(request.machine))
     with SearchProgress(USUAL_S, "reading the files") as progress:
         return _deliver(fit_files(start, request, progress), request)
-
-
-@verb
-def decouple(request: DecoupleRequest) -> Result:
-    """Find which part of a delta's model is wrong.
-
-    ffcomp recovers the effector's load on the carriages from measured responses. It needs all nine responses cmd_A …
-    cmd_C to pos_A … pos_C (or acc_) of a position: each carriage excited by itself and all three measured. The
-    carriages' own parameters (sub-model 1) are taken from the machine file.
-
-    Example: ffcomp identify decouple towers-centre.uff --machine my-delta.toml
-    """
-    from ffcomp.identification.decoupling import Decoupling, parts_of_places
-    from ffcomp.identification.load import gather
-    from models.errors import MachineFileError
-    from models.file import load_machine
-
-    machine = load_machine(request.machine)
-    if not machine.vibration.position_dependent:
-        rule = "Straight axes carry no effector to be decoupled from: `ffcomp identify fit` says what they do."
-        raise MachineFileError(machine.path, [rule])
-    band_hz = (request.lowest_hz, request.highest_hz)
-    responses = gather(request.data, machine, band_hz=band_hz).responses
-    return Decoupling(machine, parts_of_places(machine, responses))
 
 
 @verb
@@ -131,7 +107,6 @@ identify = group(
     scan,
     ringing,
     update,
-    decouple,
 )
 
 

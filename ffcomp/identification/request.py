@@ -26,7 +26,6 @@ DATA = (
     "raw_data_*.csv."
 )
 NEW_NAME = Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
-Data = Annotated[tuple[Path, ...], Argument(DATA, metavar="DATA...")]
 if TYPE_CHECKING:
     Files = Sequence[str | Path] | str | Path
 else:  # as the command line reads them
@@ -115,16 +114,6 @@ class FitRequest(IdentifyRequest):
 
     figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class DecoupleRequest(Request):
-    """Which responses `ffcomp identify decouple` decouples."""
-
-    data: Data
-    machine: Annotated[str, MACHINE_NAME]
-    lowest_hz: Annotated[float, LOWEST_FITTED] = 2.0
-    highest_hz: Annotated[float, HIGHEST_FITTED] = 125.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -187,7 +187,7 @@ def test_record(page: Page, folder: Path, corexy: Path) -> None:
     hold(page, "ffcomp-captures/1", told("simulate", folder / "moves.gcode", *MACHINE, *sensor, "-q"))
 
 
-def test_identify_fit_and_decouple(page: Page, folder: Path, corexy: Path) -> None:
+def test_identify_fit(page: Page, folder: Path, corexy: Path) -> None:
     known = ("--known", "effector.total_mass_kg=0.651")
     files = _measured(folder, paper_bench(np.arange(2.0, 200.1, 9.0))[:5])  # without the whole printer: quicker
     answers = [
@@ -200,8 +200,6 @@ def test_identify_fit_and_decouple(page: Page, folder: Path, corexy: Path) -> No
         *told("identify", "fit", *write_axis(folder), "-m", folder / "slide.toml", "-q"),
     ]
     hold(page, "ffcomp-identify-fit/1", answers)
-    nine = _measured(folder, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)))
-    hold(page, "ffcomp-identify-decouple/1", told("identify", "decouple", *nine, *MACHINE))
 
 
 def _spectrum(folder: Path) -> Path:

@@ -15,7 +15,7 @@ from ffcomp.identification.predict import mean_absolute_percentage_accuracy, pre
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.record.plan import load_plan, run_name
 from models.file import LIBRARY, load_machine
-from models.machine import value_of, with_values
+from models.machine import value_of
 from tests.support.cli import CliRunner, Result
 from tests.support.identification import measured, towers_bench
 from validation.plants import delta_plant
@@ -86,22 +86,6 @@ def test_the_wrong_force_map_is_found_out(tmp_path: Path) -> None:
     result = good("fit", *files, "-m", printed, "--known", f"{TOTAL_MASS}=0.651")
     assert "force_map = 'virtual_work'" in result["advice"][0]
     assert max(r["model_error"] for r in result["responses"]) > 0.1
-
-
-def test_decoupling_says_which_part_is_wrong(tmp_path: Path) -> None:
-    heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
-    for name, machine, wrong in (("right", TRUTH, []), ("heavy", heavy, ["effector x", "effector y", "effector z"])):
-        files = []
-        for i, response in enumerate(measured(machine, towers_bench(-80.0, 0.0), 40.0, 0)):
-            files.append(tmp_path / f"{name}-{i}.csv")
-            write_frf(files[-1], response)
-        answer = call("decouple", *files, "-m", TRUTH_FILE, "--json")
-        assert answer.exit_code == 0, answer.output
-        (place,) = json.loads(answer.stdout)["places"]
-        assert place["position_mm"] == [-80.0, 0.0, 30.0]
-        assert [part["name"] for part in place["parts"] if not part["holds"]] == wrong
-    few = call("decouple", files[0], "-m", TRUTH_FILE)
-    assert few.exit_code == 5 and "nine responses" in few.output
 
 
 def test_tables_two_and_three_of_the_paper() -> None:
