@@ -52,15 +52,8 @@ def identify_axes(
     data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
     if not data:
         raise MeasurementError("data", [*sentences, "None of the files holds the response of an axis to its command."])
-    fits: list[AxisFit] = []
-    for name in AXES:
-        mine = [datum for datum in data if datum.axis == name]
-        if mine:
-            progress(Stage(2 + len(fits), f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}"))
-            try:
-                fits.append(fit_axis(name, mine))
-            except MeasurementError as error:
-                sentences += error.problems
+    fits, problems = fit_axes(data, progress)
+    sentences += problems
     if not fits:
         raise MeasurementError("data", sentences)
     advice = [text for axis in fits for text in axis.advice]
@@ -71,6 +64,23 @@ def identify_axes(
         if not any(datum.axis == name for datum in data)
     ]
     return IdentifiedAxes(tuple(fits), (*sentences, *advice, *crossing, *missing), exchange)
+
+
+def fit_axes(
+    data: Sequence[Datum], progress: Callable[[str], None] = lambda _: None
+) -> tuple[list[AxisFit], list[str]]:
+    """Fit the modes of every measured axis, and say which axes show no resonance."""
+    fits: list[AxisFit] = []
+    sentences: list[str] = []
+    for name in AXES:
+        mine = [datum for datum in data if datum.axis == name]
+        if mine:
+            progress(Stage(2 + len(fits), f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}"))
+            try:
+                fits.append(fit_axis(name, mine))
+            except MeasurementError as error:
+                sentences += error.problems
+    return fits, sentences
 
 
 def _exchanged(

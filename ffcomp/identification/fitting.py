@@ -21,12 +21,12 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
-from ffcomp.identification.axes import identify_axes
+from ffcomp.identification.axes import fit_axes, identify_axes
 from ffcomp.identification.axis_fit import fit_axis
 from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.direct import identify
 from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, ringing_mode, starting_machine
-from ffcomp.identification.load import Gathered, gather, resonances_of
+from ffcomp.identification.load import Gathered, gather
 from ffcomp.identification.machine_fit import (
     AxesFit,
     BeltsFit,
@@ -45,8 +45,7 @@ from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest, RingingRequest
-from ffcomp.identification.uncertainty import Estimate, lognormal
-from ffcomp.measurement.modes import Mode, ModeFit
+from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.kinds import is_one_axis
@@ -55,6 +54,7 @@ from models.machine import Machine, value_of, with_values
 USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
 ROUGH = 0.2  # of the measurement: modes that leave more unexplained are only written on request
 DAMPING_SD = 0.2  # of the towers' damping ratio, which two modes share
+CLEAR = 0.03  # relative standard uncertainty of a frequency that a delta's file is made from
 
 Progress = Callable[[str], None]
 F = TypeVar("F", bound=MachineFit)
@@ -95,7 +95,7 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
     if not start.vibration.position_dependent:
         return _with_shapers(task.axes(progress)) if gathered.shaken or gathered.responses else task.belts_alone()
     if not gathered.responses:
-        return task.resonances()
+        return task.resonances(progress)
     return _with_shapers(task.stepwise() if request.method == "stepwise" else task.parameters(progress))
 
 
@@ -111,8 +111,9 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
     if start.vibration.position_dependent:
         damping = float(start.vibration.modes_at(np.array(start.kinematics.centre_mm)).damping_ratios[0])
-        modes = {axis: Mode(hz, READ_SD * hz, damping, damping, 1.0) for axis, hz in read.items()}
-        resonances = [Resonance(axis, (0.0, 0.0), mode) for axis, mode in modes.items()]
+        resonances = [
+            Resonance(axis, (0.0, 0.0), lognormal(hz, READ_SD), lognormal(damping, 1.0)) for axis, hz in read.items()
+        ]
         started = starting_machine(start, resonances, ringing_mode)
         kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
         belts = with_values(start, {key: e.value for key, e in kept.items()})
@@ -137,7 +138,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
             f"One stiffness of the belts does not make both: with the nearest, {words}. Read the waves again, or print "
             "a page, which shows masses and mounts too: ffcomp record plan --for scan."
         )
-    return ResonancesFit(start=start, data=(), name=origin.name, text=text, advice=advice, spectra=(), started=started)
+    return ResonancesFit(start=start, data=(), name=origin.name, text=text, advice=advice, axes={}, started=started)
 
 
 def _with_shapers(fit: F) -> F:
@@ -201,25 +202,25 @@ class _Task:
         rule = "Tests along the belts only compare belts. To measure the modes of x and y, test AXIS=X and AXIS=Y."
         return BeltsFit(**self.common, advice=[rule], refusal=[rule])
 
-    def resonances(self) -> ResonancesFit:
-        """Tabulate resonances where nothing else is known, and make a starting file of them."""
-        spectra = self.gathered.spectra
-        usable = [fit for fit in spectra if self.request.rough or fit.misfit <= ROUGH]
-        left_out = [_left_out(fit) for fit in spectra if fit not in usable]
-        resonances, unclear = resonances_of(usable)
+    def resonances(self, progress: Progress) -> ResonancesFit:
+        """Fit modes where nothing else is known, and make a starting file of the main ones."""
+        axes, silent = fit_axes(self.gathered.shaken, progress)
+        left_out = [*silent, *filter(None, (_unused(axis, self.request.rough) for axis in axes))]
+        usable = [axis for axis in axes if not _unused(axis, self.request.rough)]
+        main = [(axis.name, axis.modes[0]) for axis in usable]
+        resonances = [Resonance(name, (0.0, 0.0), mode.frequency_hz, mode.damping_ratio) for name, mode in main]
         resonances += _of_towers(self.belts)
         started = starting_machine(self.start, resonances) if resonances and self.request.output is not None else None
         return ResonancesFit(
             **self.common,
             text="" if started is None else modes_file_text(self.origin, started),
             advice=[
-                *unclear,
                 *left_out,
                 "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
                 "compensated with, run `ffcomp record plan --for identify` and bring its captures.",
             ],
-            refusal=() if resonances else [*left_out, *unclear, *self.gathered.skipped],
-            spectra=spectra,
+            refusal=() if resonances else [*left_out, *self.gathered.skipped],
+            axes={axis.name: axis for axis in axes},
             started=started,
         )
 
@@ -237,11 +238,20 @@ def _too_rough(axis: AxisFit) -> str:
     )
 
 
-def _left_out(fit: ModeFit) -> str:
-    return (
-        f"{Path(fit.source).name} is not used for the machine file: its modes leave {100 * fit.misfit:.0f} % of the "
-        f"spectrum unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
-    )
+def _unused(axis: AxisFit, rough: bool) -> str:
+    """Say why a delta's file is not made from an axis' main mode; '' if it is."""
+    frequency, left = axis.modes[0].frequency_hz, max(axis.errors)
+    if frequency.relative_sd > CLEAR:
+        return (
+            f"{axis.name} is not used for the machine file: its main mode is known to {frequency.value:.1f} ± "
+            f"{frequency.sd:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
+        )
+    if left > ROUGH and not rough:
+        return (
+            f"{axis.name} is not used for the machine file: its modes leave {100 * left:.0f} % of the measurement "
+            f"unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
+        )
+    return ""
 
 
 def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
@@ -249,5 +259,4 @@ def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
     if belts is None:
         return []
     frequency, damping = (float(np.mean([e.value for e in belts.modes_hz])), float(np.mean(belts.damping_ratio)))
-    mode = Mode(frequency, belts.modes_hz[0].sd, damping, DAMPING_SD * damping, 1.0)
-    return [Resonance("x", (0.0, 0.0), mode)]
+    return [Resonance("x", (0.0, 0.0), normal(frequency, belts.modes_hz[0].sd), lognormal(damping, DAMPING_SD))]

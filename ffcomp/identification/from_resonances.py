@@ -16,7 +16,6 @@ import numpy as np
 from ffcomp.errors import SolverError
 from ffcomp.identification.uncertainty import Estimate, lognormal
 from ffcomp.measurement.frf import AXES
-from ffcomp.measurement.modes import Mode
 from models.arrays import FloatArray
 from models.machine import Machine, value_of, with_values
 
@@ -34,7 +33,8 @@ class Resonance:
 
     axis: str  # x, y or z of the nozzle
     place_mm: tuple[float, float]
-    mode: Mode
+    frequency_hz: Estimate
+    damping_ratio: Estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def starting_machine(
     misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances, main) for scale in SCALES]
     nearest = int(np.argmin(misfits))
     if nearest in (0, len(SCALES) - 1):
-        measured = ", ".join(f"{r.mode.frequency_hz:.1f} Hz" for r in resonances)
+        measured = ", ".join(f"{r.frequency_hz.value:.1f} Hz" for r in resonances)
         raise SolverError(
             "No belt stiffness between a tenth and ten times the starting machine's brings its resonances to the "
             f"measured ones ({measured}): start from another machine."
@@ -80,11 +80,11 @@ def starting_machine(
 
 
 def _misfit(machine: Machine, resonances: Sequence[Resonance], main: Callable[[Machine, Resonance], float]) -> float:
-    return sum((np.log(main(machine, r) / r.mode.frequency_hz) / _sd(r)) ** 2 for r in resonances)
+    return sum((np.log(main(machine, r) / r.frequency_hz.value) / _sd(r)) ** 2 for r in resonances)
 
 
 def _sd(r: Resonance) -> float:
-    return float(np.hypot(r.mode.frequency_sd_hz / r.mode.frequency_hz, MODEL_SD))
+    return float(np.hypot(r.frequency_hz.relative_sd, MODEL_SD))
 
 
 def _main(machine: Machine, r: Resonance) -> float:
@@ -107,14 +107,14 @@ def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:
     for r in resonances:
         modes = machine.vibration.modes_at(np.array(r.place_mm))
         nearest = int(np.argmin(np.abs(np.log(modes.frequencies_hz / _main(machine, r)))))
-        ratios.append(r.mode.damping_ratio / modes.damping_ratios[nearest])
+        ratios.append(r.damping_ratio.value / modes.damping_ratios[nearest])
     return float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))
 
 
 def _estimates(stiffness: float, dampings: dict[str, float], resonances: Sequence[Resonance]) -> dict[str, Estimate]:
     """Take twice a frequency's relative uncertainty for the stiffness; the ratios' scatter for the dampings."""
     weight: FloatArray = np.array([1 / _sd(r) ** 2 for r in resonances])
-    relative = [r.mode.damping_ratio_sd / r.mode.damping_ratio for r in resonances]
+    relative = [r.damping_ratio.relative_sd for r in resonances]
     spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))
     estimates = {STIFFNESS: lognormal(stiffness, 2 / float(np.sqrt(weight.sum())))}
     return estimates | {name: lognormal(value, spread) for name, value in dampings.items()}

@@ -11,14 +11,12 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import Spectrum
-from ffcomp.identification.from_resonances import Resonance
 from ffcomp.identification.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.faults import fault
-from ffcomp.measurement.frf import AXES, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.modes import ModeFit, modes_in
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import kind_of, read_vibrations
@@ -45,15 +43,14 @@ class Gathered:
     """Everything the files held."""
 
     responses: list[FrequencyResponse] = field(default_factory=list)
-    spectra: list[ModeFit] = field(default_factory=list)  # of files that show resonances only
-    shaken: list[Spectrum] = field(default_factory=list)  # the same of a machine of modal axes
+    shaken: list[Spectrum] = field(default_factory=list)  # of files that show resonances of an axis
     belts: list[BeltTest] = field(default_factory=list)  # of tests along a belt or a tower
     skipped: list[str] = field(default_factory=list)  # sentences
 
     @property
     def nothing(self) -> bool:
         """Whether the files held nothing that can be fitted."""
-        return not (self.responses or self.spectra or self.shaken or self.belts)
+        return not (self.responses or self.shaken or self.belts)
 
 
 def gather(
@@ -105,7 +102,7 @@ def gather(
         if isinstance(each, Capture) and each.overflows
     ]
     for test, axis in _with_axes(tests, list(shaken_axis), gathered.skipped):
-        _take(test, axis, machine, column or _named_column(test, shaken_axis), band_hz, gathered)
+        _take(test, axis, column or _named_column(test, shaken_axis), band_hz, gathered)
     if not machine.vibration.position_dependent:
         gathered.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
         recordings = []
@@ -152,15 +149,11 @@ def _named_column(test: TestFile, stated: Sequence[str]) -> str | None:
 def _take(
     test: TestFile,
     axis: str | None,
-    machine: Machine,
     column: str | None,
     band_hz: tuple[float, float],
     gathered: Gathered,
 ) -> None:
     """Add a resonance test to what the files hold."""
-    if machine.vibration.position_dependent and (axis is None or axis in AXES):
-        gathered.spectra.append(modes_in(test, column, axis))
-        return
     read = read_test(test, axis, band_hz, column)
     if isinstance(read, str):
         gathered.skipped.append(read)
@@ -193,27 +186,6 @@ def _extent(recording: Recording, machine: Machine) -> tuple[list[float], float]
     low, high = nozzle.min(axis=0), nozzle.max(axis=0)
     machine.kinematics.inverse(nozzle[:1])  # raises where the arms cannot reach
     return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)
-
-
-def resonances_of(spectra: Sequence[ModeFit]) -> tuple[list[Resonance], list[str]]:
-    """Select the strongest mode of each spectrum whose axis is known and whose mode is clear; say what is left out."""
-    resonances, left_out = [], []
-    for spectrum in spectra:
-        modes = [m for m in spectrum.modes if not m.tone]
-        main = max(modes, key=lambda m: m.power, default=None)
-        name = Path(spectrum.source).name
-        if spectrum.axis not in AXES:
-            left_out.append(f"{name}: the excited axis is not stated, so it is not used. Say --axis x or y.")
-        elif main is None:
-            left_out.append(f"{name}: {spectrum.verdict}")
-        elif not main.clear:
-            left_out.append(
-                f"{name}: it is not used, because its strongest mode is known to {main.frequency_hz:.1f} ± "
-                f"{main.frequency_sd_hz:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
-            )
-        else:
-            resonances.append(Resonance(spectrum.axis, (0.0, 0.0), main))
-    return resonances, left_out
 
 
 # ---- captures of a plan --------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -20,7 +20,6 @@ from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS
 from ffcomp.identification.page_fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
-from ffcomp.measurement.modes import ModeFit
 from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result
 from ffcomp.shapers.calibration import ShaperAdvice, in_words
@@ -192,12 +191,7 @@ class AxesFit(MachineFit):
     @property
     def headline(self) -> str:
         """Where each axis resonates."""
-        axes = (
-            f"{axis.name} at {' and '.join(f'{mode.frequency_hz.value:.1f}' for mode in axis.modes)} Hz"
-            for axis in self.result.axes
-            if axis.modes
-        )
-        return f"Resonances: {', '.join(axes)}."
+        return _resonances(self.result.axes)
 
     @property
     def found(self) -> list[Fact]:
@@ -223,9 +217,9 @@ class ResonancesFit(MachineFit):
     """Resonances of a delta where nothing else is known, and a starting file of them."""
 
     method = "modes"
-    json_keys = WITH_BELTS | keys("spectra", numbers="started.estimates?")
+    json_keys = WITH_BELTS | keys("axes", numbers="started.estimates?")
 
-    spectra: Sequence[ModeFit]
+    axes: Mapping[str, AxisFit]
     started: ResonanceStart | None = None
 
     @property
@@ -234,22 +228,14 @@ class ResonancesFit(MachineFit):
         if self.started is not None:
             hz = " and ".join(f"{f:.1f}" for f in self.started.predicted_hz)
             return f"The machine's modes are moved to {hz} Hz."
-        if not self.spectra and self.belts is not None:
+        if not self.axes and self.belts is not None:
             return self.belts.sentence
-        clear = [mode.frequency_hz for fit in self.spectra for mode in fit.modes if mode.clear]
-        hz = ", ".join(f"{f:.1f}" for f in sorted(clear))
-        return f"Resonances at {hz} Hz." if clear else "These spectra have no clear resonance."
+        return _resonances(self.axes.values()) if self.axes else "These spectra have no clear resonance."
 
     @property
     def found(self) -> list[Fact]:
-        """Each spectrum's modes, and the parameters of a starting file."""
-        facts = []
-        for fit in self.spectra:
-            facts.append((f"{Path(fit.source).name}, {fit.signal}", fit.verdict))
-            for mode in fit.modes:
-                damping = f"ζ {mode.damping_ratio:.3f} ± {mode.damping_ratio_sd:.3f}"
-                unsure = "" if mode.clear else " (uncertain)"
-                facts.append(("mode", f"{mode.frequency_hz:.1f} ± {mode.frequency_sd_hz:.1f} Hz, {damping}{unsure}"))
+        """Modes of each axis, and the parameters of a starting file."""
+        facts = [fact for axis in self.axes.values() for fact in _axis_facts(axis)]
         return facts if self.started is None else [*facts, *number_facts(self.started.estimates)]
 
 
@@ -309,11 +295,16 @@ def _interval(e: Estimate) -> str:
     return f"{e.value:.4g} ({e.low:.4g} to {e.high:.4g})"
 
 
+def _resonances(axes: Iterable[AxisFit]) -> str:
+    each = (f"{a.name} at {' and '.join(f'{mode.frequency_hz.value:.1f}' for mode in a.modes)} Hz" for a in axes)
+    return f"Resonances: {', '.join(each)}."
+
+
 def _axis_facts(axis: AxisFit) -> Iterator[Fact]:
     for mode in axis.modes:
         share = f", share {_interval(mode.share)}" if len(axis.modes) > 1 else ""
-        yield f"axes.{axis.name}", f"{_interval(mode.frequency_hz)} Hz, ζ {_interval(mode.damping_ratio)}{share}"
-    yield f"axes.{axis.name}", axis.verdict
+        yield f"Along {axis.name}", f"{_interval(mode.frequency_hz)} Hz, ζ {_interval(mode.damping_ratio)}{share}"
+    yield f"Along {axis.name}", axis.verdict
     for each in axis.explained:
         explained = f"{100 * each.model_error:.1f} %" if each.model_error else "its noise"
         yield each.source, f"explained to {explained} ({each.lines} frequencies)"

@@ -275,7 +275,7 @@ def _within(name: str, found: _Fit) -> None:
     if low < frequency < high and damping < BROADEST and not all(remedies):
         return
     sources = ", ".join(dict.fromkeys(Path(d.source).name for d in data))
-    rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz: [axes.{name}] is unchanged"
+    rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz, so its numbers are unchanged"
     raise MeasurementError(sources, [f"{rule}. {remedies[0] or 'Try a wider band, or a harder excitation.'}"])
 
 

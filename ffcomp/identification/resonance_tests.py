@@ -16,8 +16,7 @@ from ffcomp.identification.axis_spectra import USUAL_AVERAGES, Spectrum
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import AXES
 from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.modes import HIGHEST_HZ, fitted_band, segment_powers
-from ffcomp.measurement.swept import swept_band, swept_band_of_spectrum
+from ffcomp.measurement.swept import HIGHEST_HZ, fitted_band, segment_powers, swept_band, swept_band_of_spectrum
 from ffcomp.measurement.vibration import read_vibration
 from models.arrays import FloatArray
 

@@ -8,8 +8,8 @@ A firmware's resonance test sweeps at 1 Hz/s with an acceleration proportional t
 grows with f²: e = f². Nothing known about the excitation: e = 1. A window of 0.6 s is as wide as a mode of ζ = 0.03 at
 40 Hz; without the convolution with |W|² (its shape in lines is known) dampings come out too high.
 
-`modes.py` fits free amplitudes over a floor, `ffcomp.identification.modal_fit` shares of one axis that sum to one, and
-`ffcomp.identification.belts` those that follow from the stiffness of belts.
+`ffcomp.identification.modal_fit` fits shares of one axis that sum to one, `ffcomp.identification.belts` those that
+follow from the stiffness of belts.
 """
 
 from __future__ import annotations

@@ -13,11 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import lines_of_dft
 from ffcomp.measurement.modal import KAISER_BETA
 from models.arrays import FloatArray
 
+LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
 _WINDOW_S = 0.5
 _MOST_WINDOWS = 240
 _FEWEST_WINDOWS = 12  # about three seconds
@@ -150,6 +152,30 @@ def _stretch(gain: FloatArray) -> tuple[int, int, float]:
     end = int(np.argmax(total - before))
     begin = int(np.argmin(total[: end + 1]))
     return begin, max(end - 1, begin), float(total[end] - total[begin])
+
+
+def fitted_band(frequency_hz: FloatArray, swept: SweptBand | None) -> tuple[float, float]:
+    """Return between which frequencies a test's spectrum is fitted: where it was excited, without the ends."""
+    if swept is None:
+        return LOWEST_HZ, HIGHEST_HZ
+    low, high = swept.usable(float(frequency_hz[1] - frequency_hz[0]))
+    return max(LOWEST_HZ, low), min(HIGHEST_HZ, high)
+
+
+def segment_powers(capture: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
+    rate = capture.sample_rate_hz
+    length = 2 ** int(np.ceil(np.log2(_WINDOW_S * rate)))
+    taper = np.kaiser(length, KAISER_BETA)
+    starts = range(0, len(capture.time_s) - length + 1, length // 2)
+    cuts = [capture.acceleration[start : start + length, axes] for start in starts]
+    whole = [cut for cut in cuts if np.isfinite(cut).all()]
+    if not whole:
+        rule = f"There is no window of {length / rate:.2g} s without gaps; a spectrum needs at least one."
+        raise MeasurementError(capture.source, [rule])
+    spectra = [np.fft.rfft((cut - cut.mean(axis=0)) * taper[:, None], axis=0) for cut in whole]
+    power = [2 * (np.abs(one) ** 2).sum(axis=1) / (rate * float(taper @ taper)) for one in spectra]
+    return lines_of_dft(length, rate), np.array(power)
 
 
 def swept_band_of_spectrum(frequency_hz: FloatArray, power: FloatArray) -> SweptBand | None:

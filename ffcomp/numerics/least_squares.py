@@ -1,7 +1,6 @@
 """Damped nonlinear least squares, for cheap residuals and for residuals that are simulations.
 
-`minimise` serves residuals that cost little and are smooth: Levenberg-Marquardt as in MINPACK (Moré, 1978) without
-bounds, a trust region (Branch, Coleman & Li, SIAM J. Sci. Comput. 21, 1999) with bounds or a robust loss.
+`minimise` serves residuals that cost little and are smooth: Levenberg-Marquardt as in MINPACK (Moré, 1978).
 
 `minimise_batched` serves residuals that cost a simulation each. It is Levenberg-Marquardt (Levenberg 1944, Marquardt
 1963) with bounds and a unit prior on every unknown; its Jacobian is kept from step to step and corrected by secants
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]  # as models.arrays, which numerics lies below
 Residual = Callable[[FloatArray], FloatArray]  # (p,) -> (rows,)
-Bounds = tuple[FloatArray, FloatArray]  # lowest and highest, (p,) each
 
 STEP = 0.01  # of a prior's standard deviation, for differences
 MOST_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
@@ -39,45 +37,21 @@ class Solution:
     x: FloatArray  # (p,)
     residual: FloatArray  # (rows,)
     jacobian: FloatArray  # (rows, p), ∂residual/∂x
-    cost: float  # |residual|²; with a robust loss, twice the minimised function
+    cost: float  # |residual|²
     converged: bool  # False where the evaluations ran out
 
 
-def minimise(
-    residual: Residual,
-    start: FloatArray,
-    jacobian: Residual | None = None,
-    *,
-    evaluations: int,
-    bounds: Bounds | None = None,
-    scaled: bool = True,
-    robust: bool = False,
-    tolerance: float = 1e-8,
-) -> Solution:
-    """Minimise |residual(x)|² from `start`.
+def minimise(residual: Residual, start: FloatArray, *, evaluations: int, tolerance: float = 1e-8) -> Solution:
+    """Minimise |residual(x)|² from `start`, (p,).
 
     Parameters
     ----------
-    start : (p,), inside the bounds.
-    jacobian : (p,) -> (rows, p); forward differences if there is none.
     evaluations : of the residual, at most.
-    scaled : measure steps by the Jacobian's columns (Moré, 1978), for unknowns of different sizes.
-    robust : minimise Σ 2 (√(1 + r²) − 1) in place of Σ r² (soft L1), so that single outliers count less.
     tolerance : end when a step gains less than this share of the minimised function.
     """
     from scipy.optimize import least_squares
 
-    result = least_squares(
-        residual,
-        start,
-        jacobian or "2-point",
-        bounds=(-np.inf, np.inf) if bounds is None else bounds,
-        method="lm" if bounds is None and not robust else "trf",
-        x_scale="jac" if scaled else 1.0,
-        loss="soft_l1" if robust else "linear",
-        ftol=tolerance,
-        max_nfev=evaluations,
-    )
+    result = least_squares(residual, start, method="lm", x_scale="jac", ftol=tolerance, max_nfev=evaluations)
     return Solution(np.asarray(result.x), result.fun, result.jac, 2.0 * float(result.cost), bool(result.success))
 
 

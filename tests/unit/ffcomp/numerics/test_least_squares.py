@@ -24,26 +24,15 @@ def decay(x: FloatArray) -> FloatArray:
     return x[0] * np.exp(-x[1] * T)
 
 
-def test_minimise_finds_a_known_minimum_with_and_without_a_jacobian() -> None:
+def test_minimise_finds_a_known_minimum_and_says_when_evaluations_run_out() -> None:
     def residual(x: FloatArray) -> FloatArray:
         return decay(x) - decay(np.array([2.0, 3.0]))
 
-    def jacobian(x: FloatArray) -> FloatArray:
-        return np.stack([np.exp(-x[1] * T), -T * decay(x)], axis=1)
-
-    for slopes in (None, jacobian):
-        found = minimise(residual, np.array([1.0, 1.0]), slopes, evaluations=100)
-        np.testing.assert_allclose(found.x, [2.0, 3.0], rtol=1e-6)
-        assert found.converged and found.cost < 1e-12
-        np.testing.assert_allclose(found.jacobian, jacobian(found.x), atol=1e-5)
-
-
-def test_minimise_stays_inside_bounds_and_says_when_evaluations_run_out() -> None:
-    def residual(x: FloatArray) -> FloatArray:
-        return decay(x) - decay(np.array([2.0, 3.0]))
-
-    bounds = np.array([0.0, 0.0]), np.array([5.0, 2.0])
-    assert minimise(residual, np.array([1.0, 1.0]), bounds=bounds, evaluations=100).x[1] == pytest.approx(2.0, abs=1e-3)
+    found = minimise(residual, np.array([1.0, 1.0]), evaluations=100)
+    np.testing.assert_allclose(found.x, [2.0, 3.0], rtol=1e-6)
+    assert found.converged and found.cost < 1e-12
+    jacobian = np.stack([np.exp(-found.x[1] * T), -T * decay(found.x)], axis=1)
+    np.testing.assert_allclose(found.jacobian, jacobian, atol=1e-5)
     assert not minimise(residual, np.array([1.0, 1.0]), evaluations=3).converged
 
 
