@@ -77,7 +77,6 @@ FAST = (  # in slow folders: every package has a test in each quick run
     "unit/ffcomp/check/test_history.py",
     "unit/ffcomp/diagnosis/test_pitches.py",
     "unit/ffcomp/faster/test_predicted_error.py",
-    "unit/ffcomp/record/test_motor_logs.py",
     "unit/ffcomp/record/test_multisine.py",
 )
 SLOW_NAMES = ("test_against_kalico.py",)  # wherever they are

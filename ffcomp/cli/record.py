@@ -91,7 +91,6 @@ def _compare(request: CheckRequest) -> Result:
     earlier = read_history(request.history_file)
     turn = turn_of(request.axes_map)
     joined = join_captures(request.captures, plan, machine, turn, lambda text: report(f"ffcomp: {text}"))
-    joined = joined.with_accelerations
     joined.check()
     left_out = [f"Left out {each.file}: {each.why}" for each in joined.refused]
     result = check_result(joined, plan, machine, earlier, datetime.now().isoformat(timespec="minutes"))

@@ -112,7 +112,7 @@ def gather(
         moves = plan_of(plan, machine)
         periodic = any(each.excitation is not None for each in moves.experiments)  # which does not show the axes' signs
         turn = turning(axes) if periodic or tuple(axes) != STRAIGHT else None
-        joined = join_captures(captures, moves, machine, turn, progress).with_accelerations
+        joined = join_captures(captures, moves, machine, turn, progress)
         joined.check()
         gathered.skipped += [f"{Path(each.file).name} is left out: {each.why}" for each in joined.refused]
         for sentence in joined.notes(moves, machine):

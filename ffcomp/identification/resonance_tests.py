@@ -46,8 +46,6 @@ def no_test(test: TestFile) -> str:
     if isinstance(test, Resonances):
         return ""
     name = file_and_name(test)
-    if test.excitation_hz is not None:
-        return f"{name}: it was excited at one frequency, {test.excitation_hz:g} Hz, which shows no modes."
     if swept_band(test) is None:
         seconds = float(test.time_s[-1] - test.time_s[0])
         return (

@@ -71,7 +71,7 @@ class AxisRun(Run):
 
     @property
     def command_space(self) -> Input:
-        """Tell what the axis was given."""
+        """Return what the axis was given."""
         return self.input or ("force" if self.by_force else "position")
 
     @property

@@ -30,7 +30,6 @@ class Capture(Uniform):
     acceleration: FloatArray  # (n, 3) m/s², columns X Y Z of the chip; NaN where a row is missing
     axis: str | None = None  # excited: x, y, z or axis=1.000,0.500
     position_mm: Point | None = None
-    excitation_hz: float | None = None
     name: str = ""  # of the measurement, where one file holds several
     clock: ClockKind = "free"  # the print time of the motion: exact, or within a sample
     overflows: int = 0  # samples that the chip lost, as far as the file says it

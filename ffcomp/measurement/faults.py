@@ -472,7 +472,7 @@ class BadSensor:
 
 
 def clipped_against(measured: FloatArray, simulated: FloatArray) -> bool:
-    """Tell whether a sensor (n,) stands at its largest value while its simulation goes far beyond."""
+    """Return whether a sensor (n,) stands at its largest value while its simulation goes far beyond."""
     known = np.isfinite(measured)
     if not known.any():
         return False

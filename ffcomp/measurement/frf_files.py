@@ -182,7 +182,7 @@ _ENDS = {  # of a response: its end and part in the file, the power of its unit,
 
 
 def is_universal(path: str | Path) -> bool:
-    """Tell whether a file begins as universal files do: a line `-1`, then one with the data set's number."""
+    """Return whether a file begins as universal files do: a line `-1`, then one with the data set's number."""
     try:
         with open(path, "rb") as file:
             head = file.read(400).splitlines()[:2]

@@ -1,11 +1,10 @@
-"""Files of accelerometers on Klipper printers: captures and spectra of the firmware, py3dpaxxel and Shake&Tune.
+"""Files of accelerometers on Klipper printers: captures and spectra of the firmware and of Shake&Tune.
 
 | file | what it holds |
 |---|---|
 | `raw_data_*.csv`, `adxl345-*.csv` | `#time,accel_x,accel_y,accel_z`: s of print time, mm/s²; lines `##…` before it |
 | `resonances_*.csv`, `calibration_data_*.csv` | `freq,psd_x,psd_y,psd_z,psd_xyz[,accel_per_hz][,shapers:][,…]` |
 | the same of several points or chips | `freq,<name 1>,<name 2>,…[,shapers:,…]` |
-| py3dpaxxel `*.tsv` | `seq sample x y z`: mg, the rate in a comment (ODR3200) |
 | Shake&Tune `*.stdata` | Zstandard over JSON, one line a capture: `{"name": …, "samples": [[t, x, y, z], …]}` |
 
 A spectrum is the one-sided power spectral density of a whole test in (mm/s²)²/Hz. Files that list shapers hold it
@@ -26,17 +25,14 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
-from ffcomp.measurement.sensors import G
 from ffcomp.measurement.table import Table, rows_of
 from gcode.text import most_unpacked
 from models.arrays import FloatArray
 
 _RAW_HEADER = ("time", "accel_x", "accel_y", "accel_z")
-_PAXXEL_HEADER = ("seq", "sample", "x", "y", "z")
 _SHAPER = re.compile(r"\w+\s?\([\d.]+(?:\s?Hz)?\)")
 _AXIS = re.compile(r"(?:raw_data|resonances|calibration_data)_(x|y|z|axis=[-\d.]+,[-\d.]+(?:,[-\d.]+)?)(?=_|\.)")
 _POINT = re.compile(r"_(-?\d+\.\d{3})_(-?\d+\.\d{3})_(-?\d+\.\d{3})(?=_|\.)")
-_PAXXEL_NAME = re.compile(r"-a([xyz])-f(\d+)-z(\d+)\.tsv$")
 _LOST = re.compile(r"(?:drops|overflows|errors)=(\d+)")
 _FEWEST_LINES = 20
 _UNTOUCHED_HZ = 10.0  # normalised spectra are attenuated below
@@ -104,13 +100,8 @@ class Resonances:
 
 
 def is_raw(line: str) -> bool:
-    """Tell whether a line is the header of a capture."""
+    """Return whether a line is the header of a capture."""
     return tuple(name.strip().lower() for name in line.lstrip("#").split(",")) == _RAW_HEADER
-
-
-def is_paxxel(line: str) -> bool:
-    """Tell whether a line is the header of a capture of py3dpaxxel."""
-    return tuple(line.lower().split()) == _PAXXEL_HEADER
 
 
 def raw_capture(path: str, text: str) -> Capture:
@@ -122,23 +113,6 @@ def raw_capture(path: str, text: str) -> Capture:
     acceleration = table.values[:, 1:] * 1e-3
     return make_capture(
         path, table, table.column("time"), acceleration, clock="firmware", overflows=lost, **_named(path)
-    )
-
-
-def paxxel_capture(path: str, text: str) -> Capture:
-    """Read a capture of py3dpaxxel."""
-    lines = text.splitlines()
-    head = next(k for k, line in enumerate(lines) if line.strip())
-    table = rows_of(path, lines, head + 1, _PAXXEL_HEADER, {}, None)
-    rate = re.search(r"ODR(\d+)", text)
-    if rate is None:
-        raise MeasurementError(path, ["The sample rate is missing; a comment must name it, as in 'ODR3200'."])
-    if np.ptp(table.column("seq")) > 0:
-        raise MeasurementError(path, ["Column seq changes: there are several records in it; give each its own file."])
-    name = _PAXXEL_NAME.search(Path(path).name)
-    excited = {} if name is None else {"axis": name[1], "excitation_hz": float(name[2])}
-    return make_capture(
-        path, table, table.column("sample") / float(rate[1]), table.values[:, 2:] * (G * 1e-3), **excited
     )
 
 
@@ -184,7 +158,7 @@ def _bad_spectra(frequency: FloatArray, sets: dict[str, FloatArray]) -> list[str
 
 
 def is_stdata(path: str | Path) -> bool:
-    """Tell by the first bytes."""
+    """Recognise by the first bytes."""
     with Path(path).open("rb") as file:
         return file.read(len(_ZSTANDARD)) == _ZSTANDARD
 

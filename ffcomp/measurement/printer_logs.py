@@ -1,6 +1,6 @@
-"""Read logs that a printer's firmware keeps: motion and sensors (Klipper), one motor and its encoder (RepRapFirmware).
+"""Read logs of Klipper's data logger: motion and sensors.
 
-**Klipper's data logger** writes a log, `NAME.json.gz`, and next to it an index, `NAME.index.gz`. Both are gzip streams
+It writes a log, `NAME.json.gz`, and next to it an index, `NAME.index.gz`. Both are gzip streams
 of JSON objects with a byte 3 behind each. The first object of the index holds the status of the whole printer, its
 configuration included. Of the log's messages `{"q": ID, "params": {...}}` these are read:
 
@@ -11,10 +11,6 @@ configuration included. Of the log's messages `{"q": ID, "params": {...}}` these
 | `accelerometer:<name>` | mm/s², gravity in it, the chip's axes turned as the configuration says |
 
 All times are print times. A log that was cut off is read as far as it goes.
-
-**RepRapFirmware's closed loop** (`M569.5 P… S… R… D7 A1`) writes one file of one motor. The header is
-`Sample,Timestamp,Raw Encoder Reading,Measured Motor Steps,Target Motor Steps`, with the columns that `D` selects, and
-others behind. The time is in ms. Behind the rows the firmware says in words what went wrong.
 """
 
 from __future__ import annotations
@@ -29,8 +25,6 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.clock import Uniform, clock_of
-from ffcomp.measurement.table import read_text, rows_of
 from models.arrays import FloatArray
 
 _GZIP = b"\x1f\x8b"
@@ -86,7 +80,7 @@ class MotionLog:
 
 
 def is_motion_log(path: str | Path) -> bool:
-    """Tell a log or its index by its ending and its first bytes."""
+    """Recognise a log or its index by its ending and its first bytes."""
     if not str(path).endswith(ENDINGS):
         return False
     with Path(path).open("rb") as file:
@@ -94,7 +88,7 @@ def is_motion_log(path: str | Path) -> bool:
 
 
 def is_index(path: str | Path) -> bool:
-    """Tell an index from a log by its ending."""
+    """Recognise an index from a log by its ending."""
     return str(path).endswith(ENDINGS[1])
 
 
@@ -203,56 +197,3 @@ def _settings(path: str | Path) -> dict[str, dict[str, Any]]:
     status = next(_objects(index), {}).get("status", {})
     settings = status.get("configfile", {}).get("settings", {})
     return {str(name): dict(section) for name, section in settings.items()}
-
-
-# ---- RepRapFirmware: one motor -------------------------------------------------------------------
-
-_TIME, _MEASURED, _TARGET = "timestamp", "measured motor steps", "target motor steps"
-
-
-@dataclass(frozen=True, eq=False)
-class MotorLog(Uniform):
-    """What one motor was commanded and what it did, on one clock."""
-
-    source: str
-    time_s: FloatArray  # (n,) rising
-    target: FloatArray  # (n,) steps
-    measured: FloatArray  # (n,) steps
-
-
-def is_closed_loop(path: str | Path) -> bool:
-    """Tell a log of a motor by its first bytes."""
-    if not Path(path).is_file():
-        return False
-    with Path(path).open("rb") as file:
-        return file.read(16).lower() == b"sample,timestamp"
-
-
-def read_closed_loop(path: str | Path) -> MotorLog:
-    """Read a log.
-
-    Raises
-    ------
-    MeasurementError
-        Without target or measured steps, with the firmware's own complaint, or with a clock that is none.
-    """
-    text = read_text(path)
-    lines = text.splitlines()
-    columns = tuple(name.strip().lower() for name in lines[0].split(","))
-    if missing := [name for name in (_TIME, _MEASURED, _TARGET) if name not in columns]:
-        rule = f"It holds no column {', '.join(missing)!r}. Record it with D7, which selects all columns needed."
-        raise MeasurementError(str(path), [rule])
-    if lines[1:] and not text.endswith(("\n", "\r")) and lines[-1].count(",") + 1 < len(columns):
-        del lines[-1]  # of a copy that was cut off
-    complaint = next((line.strip() for line in lines[1:] if line.strip() and not line.strip()[0].isdigit()), None)
-    if complaint is not None:
-        rule = f"The firmware says in it: {complaint[:60]!r}. Record it again, with fewer samples a second (R)."
-        raise MeasurementError(str(path), [rule])
-    table = rows_of(path, lines, 1, columns, {})
-    time_s = 1e-3 * table.column(_TIME)
-    missing_rows = np.isnan(table.values).any()
-    problems = [*table.problems, *(["Fields of it are empty. Copy the file again."] if missing_rows else [])]
-    problems = problems or clock_of(time_s, table.row)[1]
-    if problems:
-        raise MeasurementError(str(path), problems)
-    return MotorLog(str(path), time_s, table.column(_TARGET), table.column(_MEASURED))

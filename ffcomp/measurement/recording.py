@@ -144,7 +144,7 @@ def _signals(table: Table) -> list[str]:
 
 
 def _at_rest(name: str, table: Table) -> bool:
-    """Tell whether a simulated axis rested: nothing was measured of it, and its sensor is not broken for that."""
+    """Return whether a simulated axis rested: nothing was measured of it, and its sensor is not broken for that."""
     kind, _, axis = str(signal_of(name)).partition("_")
     command = f"cmd_{axis}_mm"
     if kind == "cmd" or command not in table.columns or table.columns.count(name) > 1:

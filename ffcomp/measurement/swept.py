@@ -194,7 +194,7 @@ def swept_band_of_spectrum(frequency_hz: FloatArray, power: FloatArray) -> Swept
 
 
 def _ends_at(f: FloatArray, level: FloatArray, k: int) -> bool:
-    """Tell whether the level (n,), ln of power over f², drops behind line k as it does where a sweep ends."""
+    """Return whether the level (n,), ln of power over f², drops behind line k as it does where a sweep ends."""
     if not _LOWEST_END_HZ <= f[k] <= _HIGHEST_END_HZ:
         return False
     within = float(np.median(level[: k + 1][f[: k + 1] >= _UNTOUCHED_HZ]))
@@ -203,7 +203,7 @@ def _ends_at(f: FloatArray, level: FloatArray, k: int) -> bool:
 
 
 def cut_off(frequency_hz: FloatArray, power: FloatArray, peak_hz: float, damping_ratio: float) -> bool:
-    """Tell whether the band ends before the peak at its upper end was passed: whether the power still stands there."""
+    """Return whether the band ends before the peak at its upper end was passed: the power still stands there."""
     if peak_hz * (1 + damping_ratio) < frequency_hz[-1]:
         return False
     flank = power[frequency_hz >= min(peak_hz * (1 - damping_ratio), frequency_hz[-3])]

@@ -5,7 +5,6 @@
 | Klipper, Kalico | captures and spectra: `ffcomp.measurement.klipper` |
 | Shake&Tune `.stdata` | one or more of Klipper's captures: `ffcomp.measurement.klipper` |
 | RepRapFirmware `Sample,X,Y,Z` | a capture in g with its rate in the last line |
-| py3dpaxxel | a capture in mg: `ffcomp.measurement.klipper` |
 | any other table with a time and three accelerations, such as a phone's or a laboratory's | a capture |
 
 The columns of such a table are found by their names: a time (`t`, `t_s`, `Time (s)`, `timestamp_ms`, …) and one
@@ -27,27 +26,26 @@ from ffcomp.measurement.capture import Capture, make_capture
 from ffcomp.measurement.frf_files import is_universal
 from ffcomp.measurement.klipper import (
     Resonances,
-    is_paxxel,
     is_raw,
     is_stdata,
-    paxxel_capture,
     raw_capture,
     resonances_of_table,
     stdata_captures,
 )
-from ffcomp.measurement.printer_logs import is_closed_loop, is_motion_log
+from ffcomp.measurement.printer_logs import is_motion_log
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.table import Table, comments_of, read_table, read_text, rows_of
 from models.arrays import FloatArray
 
 _RULE = (
-    "The first line must be '#time,accel_x,accel_y,accel_z', 'freq,psd_x,…', 'Sample,X,Y,Z', 'seq sample x y z' or "
+    "The first line must be '#time,accel_x,accel_y,accel_z', 'freq,psd_x,…', 'Sample,X,Y,Z' or "
     "name a time and three accelerations, as 't_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2'"
 )
 
-_BY_JOIN = "`ffcomp record join`, `gap` and `diagnose` read it, with the plan of its moves (--plan)."
-_LOG = f"It is a log of motion and sensors of Klipper's data_logger.py; {_BY_JOIN}"
-_MOTOR = f"It is RepRapFirmware's log of one motor (M569.5), and holds no accelerations; {_BY_JOIN}"
+_LOG = (
+    "It is a log of motion and sensors of Klipper's data_logger.py; `ffcomp record join`, `gap` and `diagnose` read it "
+    "with the plan of its moves (--plan)."
+)
 
 
 def read_vibration(path: str | Path) -> Capture | Resonances:
@@ -76,16 +74,13 @@ def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
     if Path(path).is_file():
         if is_stdata(path):
             return list(stdata_captures(path))
-        for known, rule in ((is_motion_log, _LOG), (is_closed_loop, _MOTOR)):
-            if known(path):
-                raise MeasurementError(str(path), [rule])
+        if is_motion_log(path):
+            raise MeasurementError(str(path), [_LOG])
     text = read_text(path)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     first = next((line for line in lines if not line.startswith("##")), lines[0])
     if is_raw(first):
         return [raw_capture(str(path), text)]
-    if is_paxxel(first):
-        return [paxxel_capture(str(path), text)]
     if first.lower().startswith("freq,"):
         return [resonances_of_table(str(path), read_table(path, text))]
     if tuple(name.strip().lower() for name in first.split(",")) == _RRF_HEADER:
@@ -197,7 +192,7 @@ def _stated_unit(name: str) -> float | None:
 
 
 def _by_gravity(path: str, values: FloatArray) -> float:
-    """Tell the unit (n, 3) by gravity, which every sensor on Earth measures while it rests."""
+    """Find the unit (n, 3) by gravity, which every sensor on Earth measures while it rests."""
     size = float(np.linalg.norm(np.nanmedian(values, axis=0)))
     for factor in (1.0, 1e-3, G, 1e-3 * G):
         if abs(size * factor / G - 1.0) < 0.15:
@@ -215,7 +210,7 @@ FileKind = Literal["frf", "recording", "vibration"]
 
 
 def kind_of(path: Path) -> FileKind:
-    """Tell the kind of a file by its first line that is no comment of ours.
+    """Return the kind of a file by its first line that is no comment of ours.
 
     Raises
     ------
@@ -224,7 +219,7 @@ def kind_of(path: Path) -> FileKind:
     """
     if not path.is_file():
         raise MeasurementError(str(path), ["There is no such file."]) from FileNotFoundError(str(path))
-    if is_stdata(path) or is_motion_log(path) or is_closed_loop(path):
+    if is_stdata(path) or is_motion_log(path):
         return "vibration"
     if is_universal(path):
         return "frf"

@@ -11,7 +11,7 @@ mass like a command of −q̈.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -161,64 +161,43 @@ def fit_clock(
 ) -> ClockFit:
     """Refine offset and ratio from a start, the gains of the axes and the sizes of the signatures fitted along.
 
+    By Gauss-Newton with the linear sizes eliminated (Golub & Pereyra, Inverse Problems 19, 2003).
     The record (k, 3) m/s² is along the printer's axes, at times (k,) s since the capture's first row, as of `thinned`.
     A signature leaves out axes that the chip does not feel: friction at a chip on the bed is the bed's.
     """
     audible = np.array(felt_shares(record, expected, start[0] + start[1] * since)) >= DEAF
 
     def columns(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return columns whose sizes are free, and the derivatives of the first three by time."""
         plain, *signatures = expected.at(t)
         steep = expected.at(t, 1)[0]
         axes = [np.where(np.arange(3) == axis, rows, 0.0).ravel() for rows in (plain, steep) for axis in range(3)]
-        return np.column_stack([*axes[:3], *((each * audible).ravel() for each in signatures)]), np.column_stack(
-            axes[3:]
-        )
+        free = [*axes[:3], *((each * audible).ravel() for each in signatures)]
+        return np.column_stack(free), np.column_stack(axes[3:])
 
-    return fit_time(since, record.ravel(), columns, start, free_ratio)[0]
-
-
-Columns = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-
-
-def fit_time(
-    since: FloatArray, record: FloatArray, columns: Columns, start: tuple[float, float], free_ratio: bool
-) -> tuple[ClockFit, FloatArray]:
-    """Fit a clock by Gauss-Newton with linear sizes eliminated (Golub & Pereyra, Inverse Problems 19, 2003).
-
-    Parameters
-    ----------
-    since : (k,) s since the capture's first row; the record (r k,) has r rows at each time
-    columns : times (k,) s of the experiment → columns (r k, c) whose sizes are free, and the derivatives of the first d
-        of them by time, (r k, d)
-
-    Returns
-    -------
-    The clock, and the columns' sizes (c,).
-    """
-    estimate, centre, free = np.array(start), float(since.mean()), 2 if free_ratio else 1
-    ages = np.repeat(since - centre, len(record) // len(since))
+    measured, estimate = record.ravel(), np.array(start)
+    centre, unknown = float(since.mean()), 2 if free_ratio else 1
+    ages = np.repeat(since - centre, 3)
     for _ in range(ITERATIONS):
         values, slopes = columns(estimate[0] + estimate[1] * since)
-        sizes = np.linalg.lstsq(values, record, rcond=1e-9)[0]
-        residual = record - values @ sizes
-        early = slopes @ sizes[: slopes.shape[1]]
-        jacobian = np.column_stack([early, early * ages])[:, :free]
+        sizes = np.linalg.lstsq(values, measured, rcond=1e-9)[0]
+        residual = measured - values @ sizes
+        early = slopes @ sizes[:3]
+        jacobian = np.column_stack([early, early * ages])[:, :unknown]
         jacobian = jacobian - values @ np.linalg.lstsq(values, jacobian, rcond=1e-9)[0]
         step = np.append(np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0], 0.0)
         estimate = estimate + np.array([step[0] - centre * step[1], step[1]])
         if abs(step[0]) < 1e-9 and abs(step[1]) * since[-1] < 1e-9:
             break
     noise = max(float(np.std(residual)), 1e-300)
-    blocks = np.repeat(np.arange(BLOCKS), -(-len(record) // BLOCKS))[: len(record)]
-    variance = np.diag(clustered_covariance(jacobian / noise, residual / noise, blocks, np.zeros(free)))
+    blocks = np.repeat(np.arange(BLOCKS), -(-len(measured) // BLOCKS))[: len(measured)]
+    variance = np.diag(clustered_covariance(jacobian / noise, residual / noise, blocks, np.zeros(unknown)))
     ratio_sd = float(np.sqrt(variance[1])) if free_ratio else 0.0
     # at the first row, which is where the offset counts from
     offset_sd = float(np.hypot(np.sqrt(variance[0]), centre * ratio_sd))
-    about = record - record.mean()
+    about = measured - measured.mean()
     explained = max(1 - float(residual @ residual) / max(float(about @ about), 1e-300), 0.0)
-    return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(explained))), np.asarray(
-        sizes
-    )
+    return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(explained)))
 
 
 @dataclass(frozen=True, eq=False)

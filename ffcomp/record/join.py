@@ -17,7 +17,6 @@ from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.faults import SHAPER_REMEDY, fault
-from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.vibration import kind_of
@@ -34,7 +33,6 @@ from ffcomp.record.clock import (
 )
 from ffcomp.record.executions import Task, read_tasks, stated
 from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
-from ffcomp.record.motor_runs import BLIND, motor_runs
 from ffcomp.record.plan import Plan, run_name
 from ffcomp.record.prints import plan_of
 from ffcomp.record.result import (
@@ -74,14 +72,10 @@ def join_captures(
     refused: list[Refused] = []
     expected, taken = cache(partial(expectation, machine=machine, lead_s=plan.rest_before_s)), set[str]()
     tasks: list[Task] = []
-    motors: list[Joined] = []
     notes: list[str] = []
     for path in paths:
         progress(f"reading {Path(path).name}")
         try:
-            if is_closed_loop(path):
-                motors += motor_runs(read_closed_loop(path), plan, machine, motors)
-                continue
             of_file, remarks = read_tasks(path, plan, machine, expected, taken)
             tasks += of_file
             notes += [f"{Path(path).name}: {sentence}" for sentence in remarks]
@@ -96,11 +90,8 @@ def join_captures(
         refused += bad
     whole, lacking = _without_lacking_runs(_of_all_chips(joined), machine)
     kept, apart, late = check_repeats(sorted(whole, key=lambda each: each.name))
-    blind = [BLIND] if motors else []
     heard, deaf = _without_deaf_axes(kept, machine)
-    return JoinResult(
-        (*heard, *motors), (*refused, *apart), (*notes, *lacking, *late, *deaf, *left_handed(kept), *blind)
-    )
+    return JoinResult(tuple(heard), (*refused, *apart), (*notes, *lacking, *late, *deaf, *left_handed(kept)))
 
 
 def _join_chip(tasks: Sequence[Task], plan: Plan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:

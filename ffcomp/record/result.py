@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -22,9 +22,6 @@ from models.machine import Machine
 KEPT_REST_S = (0.5, 0.4)  # before and after the motion, in a recording
 DELAY_SD_S = {"log": 5e-5, "firmware": 3e-4, "free": 1e-3}
 DRIFT_SD = 5e-5
-NO_ACCELERATIONS = (
-    "It is a log of a motor, and this needs accelerations of the nozzle. `ffcomp gap` and `ffcomp diagnose` take it."
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +73,6 @@ class JoinResult:
     def recordings(self) -> list[Recording]:
         """The recordings, repeats next to each other."""
         return [each.recording for each in self.joined]
-
-    @property
-    def with_accelerations(self) -> JoinResult:
-        """The same with the logs of motors among the refused."""
-        motors = [each for each in self.joined if not each.recording.acceleration]
-        refused = (*self.refused, *(Refused(each.source, NO_ACCELERATIONS) for each in motors))
-        return replace(self, joined=tuple(each for each in self.joined if each not in motors), refused=refused)
 
     def check(self) -> None:
         """Raise a MeasurementError with every reason if nothing could be joined."""

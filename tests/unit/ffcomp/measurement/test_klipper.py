@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.vibration import read_capture, read_vibration
@@ -89,13 +88,3 @@ def test_real_spectra(data: Path) -> None:
         assert isinstance(found, Resonances)
         assert found.normalised == ("calibration" in path.name) and found.axis == path.name.split("_20")[0][-1]
         np.testing.assert_allclose(found.psd["x"] + found.psd["y"] + found.psd["z"], found.psd["xyz"], rtol=2e-3)
-
-
-def test_real_captures(data: Path) -> None:
-    paths = sorted((data / "vibration" / "py3dpaxxel").glob("*.tsv"))
-    assert len(paths) == 6
-    for path, hertz in zip(paths, (10, 20, 30, 40, 50, 60), strict=True):
-        found = read_vibration(path)
-        assert isinstance(found, Capture)
-        assert (found.axis, found.excitation_hz, len(found.time_s)) == ("x", hertz, 3840)
-        assert np.linalg.norm(found.acceleration.mean(axis=0)) == pytest.approx(G, rel=0.05)  # mg, gravity inside
