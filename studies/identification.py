@@ -310,7 +310,7 @@ def shapers_of(path: Path) -> dict[str, Any]:
 
 def files() -> dict[str, Any]:
     """Return what is said of every file."""
-    found = sorted(p for p in FILES.rglob("*") if p.suffix in (".csv", ".tsv", ".stdata"))
+    found = sorted(p for p in FILES.rglob("*") if p.suffix in (".csv", ".stdata"))
     return {"vibration_files": [vibration_file(path) for path in found]} if found else {}
 
 

@@ -99,12 +99,6 @@ def read_captures(path: str | Path) -> list[Capture]:
     return captures
 
 
-def read_capture(path: str | Path) -> Capture:
-    """Read one record of acceleration in time; see `read_vibration`."""
-    read_vibration(path)
-    return read_captures(path)[0]
-
-
 # ---- RepRapFirmware (M956) -----------------------------------------------------------------------
 
 _RRF_HEADER = ("sample", "x", "y", "z")

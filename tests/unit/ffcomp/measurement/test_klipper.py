@@ -10,7 +10,7 @@ import pytest
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.sensors import G
-from ffcomp.measurement.vibration import read_capture, read_vibration
+from ffcomp.measurement.vibration import read_captures, read_vibration
 
 LINES = np.arange(30) * 1.6
 PSD = 1e3 * np.exp(-(((LINES - 25) / 8) ** 2)) + 1
@@ -76,7 +76,7 @@ def test_captures_that_cannot_be_used(tmp_path: Path, text: str, words: str) -> 
     path = tmp_path / "raw_data_x_a.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(MeasurementError) as caught:
-        read_capture(path)
+        read_captures(path)
     assert words in str(caught.value)
 
 

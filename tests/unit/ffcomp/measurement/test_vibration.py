@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.sensors import G
-from ffcomp.measurement.vibration import read_capture, read_captures, read_vibration
+from ffcomp.measurement.vibration import read_captures, read_vibration
 
 RATE, COUNT = 3200.0, 3200
 RNG = np.random.default_rng(3)
@@ -36,7 +36,7 @@ def write(path: Path, text: str) -> Path:
 def test_reprapfirmware_without_its_last_line_is_refused(tmp_path: Path, tail: str, words: str) -> None:
     path = write(tmp_path / "a.csv", "Sample,X,Y,Z\n" + rows(np.arange(COUNT), FELT / G) + tail)
     with pytest.raises(MeasurementError, match=words):
-        read_capture(path)
+        read_captures(path)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_any_table_with_a_time_and_three_accelerations(
     tmp_path: Path, header: str, time_unit: float, unit: float, delimiter: str
 ) -> None:
     text = header + "\n" + rows(T / time_unit, FELT / unit, delimiter=delimiter)
-    found = read_capture(write(tmp_path / "phone.csv", text))
+    (found,) = read_captures(write(tmp_path / "phone.csv", text))
     assert found.sample_rate_hz == pytest.approx(RATE, rel=1e-4) and found.clock == "free"
     np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-4, atol=1e-4)
 
@@ -73,7 +73,7 @@ def test_shake_and_tune_holds_several_captures_in_one_file(tmp_path: Path) -> No
     np.testing.assert_allclose(found[0].acceleration, FELT, rtol=1e-6)
     with pytest.raises(MeasurementError, match=r"holds 2 captures \(belt_A_20251203_133943, belt_B"):
         read_vibration(path)
-    assert read_capture(stdata(tmp_path / "one.stdata", ["axis_X_2025"])).axis == "x"
+    assert read_captures(stdata(tmp_path / "one.stdata", ["axis_X_2025"]))[0].axis == "x"
 
 
 def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
     path = tmp_path / "bomb.stdata"
     path.write_bytes(zstandard.ZstdCompressor().compress(bytes(100 << 20)))
     with pytest.raises(MeasurementError, match="unpacks to more than any recording does"):
-        read_capture(path)
+        read_captures(path)
 
 
 @pytest.mark.slow
