@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -20,9 +19,7 @@ UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next 
 WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings together
 SCALED = ("carriage.mass_kg", "carriage.belt_stiffness_n_per_m", "effector.nozzle_mass_kg")
 TURNED_DEG = 0.5  # a larger angle is reported
-FAR = 0.10  # model error of a response: beyond it the other force map is tried
-FORCE_MAP_COSTS = 100.0  # of −2 ln of the evidence
-DRIVE_COSTS = 10.0  # the same, that a drive filter must gain over an ideal drive
+DRIVE_COSTS = 10.0  # of −2 ln of the evidence, that a drive filter must gain over an ideal drive
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
@@ -69,29 +66,8 @@ def identify(
     has_drive = delta_vibration(start).carriage.drive is not None
     before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
     restored = replace(fitted, machine=with_values(fitted.machine, before))
-    advice = [*fitted.doubt, *_other_force_map(fitted, known, progress), *advice_on(restored, kept)]
+    advice = [*fitted.doubt, *advice_on(restored, kept)]
     return Identified(restored, kept, tuple(advice))
-
-
-def _other_force_map(
-    fitted: Fitted, known: Mapping[str, tuple[float, float]] | None, progress: Callable[[str], None]
-) -> list[str]:
-    """Advise on the other force map where it fits the responses of the whole printer far better."""
-    far = any(r.setup == "assembly" and e > FAR for r, e in zip(fitted.responses, fitted.model_errors, strict=True))
-    if not far:
-        return []
-    effector = delta_vibration(fitted.machine).effector
-    other: Literal["paper", "virtual_work"] = "paper" if effector.force_map == "virtual_work" else "virtual_work"
-    progress(f"the same with force_map = {other!r}")
-    turned = with_parts(fitted.machine, effector=replace(effector, force_map=other))
-    tried = fit_machine(turned, fitted.responses, known, progress=progress)
-    if tried.evidence > fitted.evidence - FORCE_MAP_COSTS:
-        return []
-    return [
-        f"With force_map = {other!r} in the starting file the responses are met far better (their errors fall from "
-        f"{100 * float(np.max(fitted.model_errors)):.0f} to {100 * float(np.max(tried.model_errors)):.1f} % at the "
-        "worst): change it there and fit again."
-    ]
 
 
 def _with_drive(

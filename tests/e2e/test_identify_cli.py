@@ -12,12 +12,10 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.identification.output_error import TOTAL_MASS, fit_machine
 from ffcomp.identification.predict import mean_absolute_percentage_accuracy, predicted
-from ffcomp.measurement.frf_files import write_frf
 from ffcomp.record.plan import load_plan, run_name
 from models.file import LIBRARY, load_machine
 from models.machine import value_of
 from tests.support.cli import CliRunner, Result
-from tests.support.identification import measured, towers_bench
 from validation.plants import delta_plant
 from validation.plants.accelerometer import draw_chip, klipper_capture, nozzle_felt
 from validation.plants.study import PLACES, error_reduction, measure_bench, measure_places, uneven
@@ -75,17 +73,6 @@ def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
     assert len(result["responses"]) == 9 and figure.exists()
     assert any("along z" in sentence for sentence in result["advice"])  # its mount resonates beyond the plan's band
     assert str(found.provenance["identified"]["data"]).count("sha256:") == 3  # type: ignore[index]
-
-
-def test_the_wrong_force_map_is_found_out(tmp_path: Path) -> None:
-    files = []
-    for i, response in enumerate(measured(TRUTH, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)), 40.0, 0)):
-        files.append(tmp_path / f"{i}.csv")
-        write_frf(files[-1], response)
-    printed = LIBRARY / "mp-delta-pro-as-printed.toml"  # Eq. 25's map
-    result = good("fit", *files, "-m", printed, "--known", f"{TOTAL_MASS}=0.651")
-    assert "force_map = 'virtual_work'" in result["advice"][0]
-    assert max(r["model_error"] for r in result["responses"]) > 0.1
 
 
 def test_tables_two_and_three_of_the_paper() -> None:
