@@ -15,9 +15,7 @@ from typing import NamedTuple
 
 from gcode.dialect import DIALECTS, KLIPPER, MARLIN, REPRAPFIRMWARE
 from gcode.errors import UnsupportedGcode
-from gcode.program import LimitCommand, MotionLimits
-
-HIGHEST_CRUISE_RATIO = 0.999  # the largest with three decimals; Klipper rejects 1
+from gcode.program import LimitCommand
 
 # Patterns match from the start of a line. Searching for a rare substring first is ten times faster on a long print.
 _KLIPPER_COMMAND = b"_", re.compile(rb"[ \t]*[A-Z]+_[A-Z_]+(?:[ \t\r\n]|\Z)")
@@ -167,19 +165,6 @@ def detect_slicer(lines: list[bytes]) -> str:
     return next((name.partition("_")[0] for name in _SLICERS if name.encode() in head), "unknown")
 
 
-def open_limits(flavor: str, velocity: float, acceleration: float, corner: float, axes: str = "XYZ") -> list[bytes]:
-    """Lines that let the firmware follow our segments: mm/s, mm/s², mm/s (right angle); no cruise ratio.
-
-    axes : whose limits to raise, in firmware with limits per axis; a lead screw's must stay
-    """
-    return close_limits(flavor, MotionLimits(velocity, acceleration, corner, 0.0), axes)
-
-
-def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[bytes]:
-    """Lines that restore limits; NaN (unknown) is not written."""
-    return _by_axes(flavor, limits, axes) if DIALECTS[flavor].jerk[0] else _klipper(limits)
-
-
 def limit_lines(flavor: str, commands: Iterable[LimitCommand], unit_mm: float) -> list[bytes]:
     """Return commands that set limits as a file with this unit states them: after G20, Marlin takes inches."""
     return [limit_line(flavor, each.code, each.words, unit_mm) for each in commands]
@@ -192,7 +177,7 @@ def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: floa
     unit_mm : unit of the file
     """
     numbers = ((letter, value / limit_unit(flavor, code, letter, unit_mm)) for letter, value in words.items())
-    return " ".join([code, *(f"{letter}{_number(x)}" for letter, x in numbers)]).encode()
+    return " ".join([code, *(f"{letter}{limit_number(x)}" for letter, x in numbers)]).encode()
 
 
 def limit_unit(flavor: str, code: str, letter: str, unit_mm: float) -> float:
@@ -230,34 +215,9 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
     return [dialect.shaper_off + b"\n"]
 
 
-def _klipper(limits: MotionLimits) -> list[bytes]:
-    """Klipper limits the nozzle. Z has further limits that only the configuration sets."""
-    fields = {
-        "VELOCITY": limits.velocity,
-        "ACCEL": limits.acceleration,
-        "SQUARE_CORNER_VELOCITY": limits.square_corner_velocity,
-        "MINIMUM_CRUISE_RATIO": min(limits.minimum_cruise_ratio, HIGHEST_CRUISE_RATIO),
-        "ACCEL_TO_DECEL": limits.accel_to_decel,
-    }
-    if limits.accel_to_decel != limits.accel_to_decel:  # older Klipper and its forks use this instead of the ratio
-        fields["ACCEL_TO_DECEL"] = limits.acceleration * (1.0 - fields["MINIMUM_CRUISE_RATIO"])
-    text = "".join(f" {key}={_number(value)}" for key, value in fields.items() if value == value)
-    return [f"SET_VELOCITY_LIMIT{text}\n".encode()] if text else []
-
-
-def _number(value: float) -> str:
+def limit_number(value: float) -> str:
+    """Return a limit with three decimals at most."""
     return f"{value:.3f}".rstrip("0").rstrip(".")
-
-
-def _by_axes(flavor: str, limits: MotionLimits, axes: str) -> list[bytes]:
-    code, of = DIALECTS[flavor].jerk
-    each = (
-        ("M201", axes, limits.acceleration),
-        ("M203", axes, limits.velocity),
-        ("M204", "PT", limits.acceleration),
-        (code, "".join(axis for axis in axes if axis in of), limits.square_corner_velocity),
-    )
-    return [limit_line(flavor, code, dict.fromkeys(of, x)) + b"\n" for code, of, x in each if x == x]
 
 
 REMEDY = "set --flavor NAME, or flavor in [firmware] of the machine file"

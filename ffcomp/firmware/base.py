@@ -6,7 +6,7 @@ executes segments exactly as written.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple, Protocol
@@ -16,7 +16,8 @@ import numpy as np
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
 from ffcomp.planner.trajectory import Trajectory
-from gcode.dialects import close_limits, limit_lines, open_limits
+from gcode.dialect import DIALECTS
+from gcode.dialects import limit_lines
 from gcode.program import LimitCommand, ModalState, MotionLimits, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
@@ -40,6 +41,39 @@ class FileLimits:
     at_move: MotionLimits = field(default_factory=MotionLimits)  # NaN: not set
     commands: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect (`gcode.program`)
     unit_mm: float = 1.0  # of the file's numbers
+
+
+class AxisLimits(NamedTuple):
+    """Limits of the axes X Y Z E."""
+
+    acceleration: Sequence[float]  # (4,) mm/s²
+    speed: Sequence[float]  # (4,) mm/s
+    printing: float  # mm/s², of moves that extrude
+    travel: float  # mm/s²
+    jerk: Sequence[float]  # (4,) mm/s
+
+    @classmethod
+    def even(cls, speed: float, acceleration: float, corner: float) -> AxisLimits:
+        """Return the same limits for every axis: mm/s, mm/s², mm/s."""
+        return cls((acceleration,) * 4, (speed,) * 4, acceleration, acceleration, (corner,) * 4)
+
+    def commands(self, jerk: str, axes: str, jerk_axes: str, filament: Container[str] = ()) -> list[LimitCommand]:
+        """Return the commands that set them.
+
+        jerk : the firmware's command for jerk, of `jerk_axes`
+        filament : the commands that set the limit of E too
+        """
+
+        def command(code: str, axes: str, values: Sequence[float]) -> LimitCommand:
+            axes += "E" if code in filament else ""
+            return LimitCommand(code, {axis: values["XYZE".index(axis)] for axis in axes})
+
+        return [
+            command("M201", axes, self.acceleration),
+            command("M203", axes, self.speed),
+            LimitCommand("M204", {"P": self.printing, "T": self.travel}),
+            command(jerk, jerk_axes, self.jerk),
+        ]
 
 
 class Firmware(Protocol):
@@ -75,13 +109,26 @@ class Firmware(Protocol):
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return the lines that raise the limits for our segments."""
-        v, a, corner = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
-        return open_limits(self.flavor, v, a, corner, raised.raised_axes)
+        limits = AxisLimits.even(
+            raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
+        )
+        return limit_lines(self.flavor, self._by_axes(limits, raised), file.unit_mm)
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
-        """Return the lines that restore the file's limits, or the machine's where the file has set none."""
-        own = close_limits(self.flavor, machine_limits(machine), raised.raised_axes)
-        return [*own, *limit_lines(self.flavor, file.commands.values(), file.unit_mm)]
+        """Return the lines that restore the machine's limits of the raised axes, then the file's own."""
+        own = self._by_axes(self.own_limits(machine), raised)
+        return limit_lines(self.flavor, [*own, *file.commands.values()], file.unit_mm)
+
+    def own_limits(self, machine: Machine) -> AxisLimits:
+        """Return the limits in force before a print."""
+        limits = machine.limits
+        return AxisLimits.even(
+            limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
+        )
+
+    def _by_axes(self, limits: AxisLimits, raised: SegmentLimits) -> list[LimitCommand]:
+        code, axes = DIALECTS[self.flavor].jerk
+        return limits.commands(code, raised.raised_axes, "".join(each for each in raised.raised_axes if each in axes))
 
     def cut(self, program: Program, machine: Machine) -> Program:
         """Cut moves where the firmware begins another block."""
@@ -98,14 +145,6 @@ class Firmware(Protocol):
     def segments(self, model: InverseModel) -> Segments:
         """Return how the firmware executes segments of a machine's inverse model."""
         return Segments(self, model.machine, model.settings.output, model.settings.segment_s)
-
-
-def machine_limits(machine: Machine) -> MotionLimits:
-    """Return the nozzle's limits in the machine file, and the default cruise ratio."""
-    limits = machine.limits
-    return MotionLimits(
-        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
-    )
 
 
 class Filament(NamedTuple):

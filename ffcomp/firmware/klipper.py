@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import isnan
 
-from ffcomp.firmware.base import FileLimits, Firmware, Planner, machine_limits
+from ffcomp.firmware.base import FileLimits, Firmware, Planner
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import SegmentLimits
 from gcode.dialect import KLIPPER
-from gcode.dialects import close_limits
+from gcode.dialects import limit_number
 from gcode.program import MotionLimits, Program
 from models.machine import Machine
 
+HIGHEST_CRUISE_RATIO = 0.999  # the largest with three decimals; Klipper rejects 1
 CRUISE_RATIO_ALONE = (2026, 7)  # Kalico since then has no ACCEL_TO_DECEL
 RESTORE = "FFCOMP_RESTORE"
 
@@ -63,20 +64,31 @@ class Klipper(Firmware):
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return SET_VELOCITY_LIMIT with the raised limits."""
-        return _obeyed(machine, super().opening(machine, raised, file))
+        v, a, corner = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
+        return _velocity_limit(machine, MotionLimits(v, a, corner, 0.0))
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return SET_VELOCITY_LIMIT with the limits of the last move."""
         after = [command.after for command in file.commands.values()] or [MotionLimits()]
-        stated = replace(file.at_move, accel_to_decel=after[-1].accel_to_decel)
-        return _obeyed(machine, close_limits(KLIPPER, _first_known(stated, machine_limits(machine))))
+        own, stated = machine.limits, replace(file.at_move, accel_to_decel=after[-1].accel_to_decel)
+        v, a, corner = own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s
+        return _velocity_limit(machine, _first_known(stated, MotionLimits(v, a, corner, 0.5)))
 
 
-def _obeyed(machine: Machine, lines: list[bytes]) -> list[bytes]:
-    """Leave out the word that the firmware no longer knows."""
-    if machine.firmware_version < CRUISE_RATIO_ALONE:
-        return lines
-    return [re.sub(rb" ACCEL_TO_DECEL=[\d.]+", b"", line) for line in lines]
+def _velocity_limit(machine: Machine, limits: MotionLimits) -> list[bytes]:
+    """Return the command that sets the nozzle's limits; Z has further ones, which only the configuration sets."""
+    ratio = min(limits.minimum_cruise_ratio, HIGHEST_CRUISE_RATIO)
+    fields = {
+        "VELOCITY": limits.velocity,
+        "ACCEL": limits.acceleration,
+        "SQUARE_CORNER_VELOCITY": limits.square_corner_velocity,
+        "MINIMUM_CRUISE_RATIO": ratio,
+    }
+    if machine.firmware_version < CRUISE_RATIO_ALONE:  # older ones use this instead of the ratio
+        by_ratio = limits.acceleration * (1.0 - ratio)
+        fields["ACCEL_TO_DECEL"] = by_ratio if isnan(limits.accel_to_decel) else limits.accel_to_decel
+    text = "".join(f" {key}={limit_number(value)}" for key, value in fields.items() if not isnan(value))
+    return [f"SET_VELOCITY_LIMIT{text}".encode()] if text else []
 
 
 def _first_known(file: MotionLimits, machine: MotionLimits) -> MotionLimits:

@@ -8,13 +8,13 @@ filament more or less from segment to segment is a jump of its speed, and E's je
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
 
-from ffcomp.firmware.base import Filament, FilamentCount, FileLimits, Firmware, Inside, Segments
+from ffcomp.firmware.base import AxisLimits, Filament, FilamentCount, FileLimits, Firmware, Inside, Segments
 from ffcomp.firmware.marlin_planner import extruder_steps_per_mm, marlin_settings, settings_row
 from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import row_after
@@ -55,72 +55,42 @@ class MarlinLimits:
     def _delta(self) -> bool:
         return isinstance(self.machine.kinematics, DeltaKinematics)
 
-    def opening(self, commands: Mapping[str, LimitCommand]) -> Iterable[LimitCommand]:
+    def opening(self, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
         """Return what raises the limits.
 
         commands : the file's own in effect
         """
-        o, settings = self.raised, self.settings
-        acceleration, corner = o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
+        o = self.raised
+        limits = AxisLimits.even(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
         # E's jerk, so that steps that come and go slow nothing: little enough for a retraction
         flicker = round(FLICKER_STEPS / (FLICKER_S * extruder_steps_per_mm(self.machine)), 2)
-        yield from self._lines(
-            self._filament(commands),
-            acceleration=(acceleration,) * 4,
-            speed=(o.velocity_mm_per_s,) * 4,
-            printing={"P": acceleration, "T": acceleration},
-            jerk=(corner, corner, corner, max(settings.jerk_mm_per_s[3], flicker)),
-            deviation_mm=LONGEST_DEVIATION_MM,
-            shortest_s=0.0,
-        )
+        limits = limits._replace(jerk=(*limits.jerk[:3], max(self.settings.jerk_mm_per_s[3], flicker)))
+        return self._commands(limits, self._filament(commands), LONGEST_DEVIATION_MM, 0.0)
 
-    def closing(self, commands: Mapping[str, LimitCommand]) -> Iterable[LimitCommand]:
+    def closing(self, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
         """Return what restores the limits that `opening` raises, the file's own last."""
         s = self.settings
-        yield from self._lines(
-            self._filament({}),
-            acceleration=s.acceleration_mm_per_s2,
-            speed=s.speed_mm_per_s,
-            printing={"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2},
-            jerk=s.jerk_mm_per_s,
-            deviation_mm=s.junction_deviation_mm or LONGEST_DEVIATION_MM,
-            shortest_s=s.shortest_segment_s,
-        )
-        yield from commands.values()
+        accelerations = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
+        own = AxisLimits(s.acceleration_mm_per_s2, s.speed_mm_per_s, *accelerations, s.jerk_mm_per_s)
+        deviation_mm = s.junction_deviation_mm or LONGEST_DEVIATION_MM
+        return [*self._commands(own, self._filament({}), deviation_mm, s.shortest_segment_s), *commands.values()]
 
     def _filament(self, commands: Mapping[str, LimitCommand]) -> set[str]:
         """Return the commands whose limits of the filament are known, and so can be restored."""
-        known = {code for code, command in commands.items() if "E" in command.words}
         keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
-        return known | {command for command, key in keys.items() if key in self.settings.stated}
+        in_file = {code for code, command in commands.items() if "E" in command.words}
+        return {code for code, key in keys.items() if code in in_file or key in self.settings.stated}
 
-    def _lines(
-        self,
-        filament: set[str],
-        *,
-        acceleration: tuple[float, ...],
-        speed: tuple[float, ...],
-        printing: Mapping[str, float],
-        jerk: tuple[float, ...],
-        deviation_mm: float,
-        shortest_s: float,
-    ) -> Iterable[LimitCommand]:
+    def _commands(
+        self, limits: AxisLimits, filament: set[str], deviation_mm: float, shortest_s: float
+    ) -> list[LimitCommand]:
         """Return the limits of the axes that may be raised; filament : commands that also set those of E."""
-        raised, settings = self.raised.raised_axes, self.settings
-
-        def words(axes: str, values: tuple[float, ...], command: str = "") -> dict[str, float]:
-            axes += "E" if command in filament else ""
-            return {axis: values["XYZE".index(axis)] for axis in axes}
-
-        corner = words(raised if self._delta else raised.replace("Z", ""), jerk, "M205")
-        if "junction_deviation_mm" in settings.stated:
-            corner = {"J": deviation_mm}
+        axes, settings = self.raised.raised_axes, self.settings
+        *others, jerk = limits.commands("M205", axes, axes if self._delta else axes.replace("Z", ""), filament)
+        words = {"J": deviation_mm} if "junction_deviation_mm" in settings.stated else dict(jerk.words)
         if settings.slowdown and not self._delta:
-            corner["B"] = 1e6 * shortest_s
-        yield LimitCommand("M201", words(raised, acceleration, "M201"))
-        yield LimitCommand("M203", words(raised, speed))
-        yield LimitCommand("M204", printing)
-        yield LimitCommand("M205", corner)
+            words["B"] = 1e6 * shortest_s
+        return [*others, LimitCommand("M205", words)]
 
 
 @dataclass(frozen=True, slots=True)

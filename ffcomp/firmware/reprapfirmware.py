@@ -20,7 +20,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.firmware.base import FileLimits, Firmware
+from ffcomp.firmware.base import AxisLimits, Firmware
 from ffcomp.firmware.marlin_queue import (
     ACCELERATION,
     COLUMNS,
@@ -36,11 +36,9 @@ from ffcomp.firmware.marlin_queue import (
 from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence
 from ffcomp.planner.limits import Lines, lines_of
 from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
-from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import REPRAPFIRMWARE
-from gcode.dialects import limit_lines
-from gcode.program import LimitCommand, Moves, Program
+from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
@@ -102,20 +100,11 @@ class RepRapFirmware(Firmware):
         matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
         return assumed_sentence("RepRapFirmware", stated, matter, "config.g")
 
-    def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
-        """Return the machine's limits of the raised axes, then the file's own."""
+    def own_limits(self, machine: Machine) -> AxisLimits:
+        """Return the planner's settings."""
         s = reprapfirmware_settings(machine)
-
-        def words(values: Sequence[float]) -> dict[str, float]:
-            return {axis: values["XYZ".index(axis)] for axis in raised.raised_axes}
-
-        own = (
-            LimitCommand("M201", words(s.acceleration_mm_per_s2)),
-            LimitCommand("M203", words(s.speed_mm_per_s)),
-            LimitCommand("M204", {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2}),
-            LimitCommand("M566", words(s.jerk_mm_per_s)),
-        )
-        return limit_lines(REPRAPFIRMWARE, (*own, *file.commands.values()), file.unit_mm)
+        accelerations = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
+        return AxisLimits(s.acceleration_mm_per_s2, s.speed_mm_per_s, *accelerations, s.jerk_mm_per_s)
 
 
 def sharing_of(machine: Machine) -> int:

@@ -7,7 +7,10 @@ from math import sqrt
 
 import pytest
 
+from ffcomp.firmware.base import FileLimits
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware
+from ffcomp.firmware.reprapfirmware import RepRapFirmware
+from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.file import load_machine
@@ -25,6 +28,15 @@ def plan(text: str, machine: Machine | None = None) -> Trajectory:
     known = known_to_the_firmware(machine)
     program = read_program(f"M83\n{text}".encode(), flavor="reprapfirmware", start=(0.0, 0.0, 10.0), **known)
     return firmware_plan(program, machine)
+
+
+@pytest.mark.parametrize(("unit", "unit_mm"), [("G21", 1.0), ("G20", 25.4)])
+def test_limits_are_raised_to_the_same_mm_in_a_file_in_inches(unit: str, unit_mm: float) -> None:
+    """60 mm at 500 mm/s and 100 m/s²: the line's own speed holds, not a limit that is 25 times too high or too low."""
+    raised = SegmentLimits(velocity_mm_per_s=500.0, acceleration_mm_per_s2=1e5)
+    lines = RepRapFirmware().opening(machine_of(), raised, FileLimits(unit_mm=unit_mm))
+    text = "\n".join([unit, *(line.decode() for line in lines), "G21", "G1 X60 F600000"])
+    assert plan(text).duration == pytest.approx([ramped_s(60, 500, 1e5)], rel=1e-5)
 
 
 def ramped_s(mm: float, top: float, a: float, begin: float = 0.0, end: float = 0.0) -> float:
