@@ -25,7 +25,7 @@ from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
+from ffcomp.planner.segment_merging import at_most, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
@@ -261,7 +261,6 @@ class Writer:
         placed = refit(at[stay], points[stay], chosen, fixed)
         points = np.where(self.inside(placed)[:, None], placed, points[kept])
         at, e = at[kept], timeline.e[kept]
-        lengthen(at, points, e, fixed, s.merging.shortest, s.merging.shortest_mm)
         due, points = self.firmware.placed(at, points, fixed, self.inside)
         at, e = due, np.interp(due, at, e)
         points = _stated(points, frame.base, frame.unit_mm)

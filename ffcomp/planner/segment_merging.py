@@ -224,57 +224,6 @@ def _solve_tridiagonal(diagonal: FloatArray, beside: FloatArray, right: FloatArr
 
 
 @kernel
-def lengthen(
-    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, shortest: float, shortest_mm: float
-) -> None:
-    """Let segments that are too short, from and to rest mostly, end later, or begin earlier, on the next one, in place.
-
-    Parameters
-    ----------
-    at : (n,) times of the points that are kept, in knots;  points : (n, 3) mm;  e : (n,) mm of filament
-    pinned : (n,) points that must stay where they are
-    shortest : knots, and shortest_mm : mm, that segments must have
-    """
-    n = len(points) - 1
-    for k in range(n):
-        if 0.0 < _apart(points, k, k + 1) < shortest_mm:
-            if not pinned[k + 1] and k + 2 <= n:
-                _slide(at, points, e, k + 1, k, k + 2, shortest, shortest_mm)
-            elif not pinned[k] and k > 0:
-                _slide(at, points, e, k, k + 1, k - 1, shortest, shortest_mm)
-
-
-@kernel
-def _slide(
-    at: FloatArray,
-    points: FloatArray,
-    e: FloatArray,
-    k: int,
-    near: int,
-    far: int,
-    shortest: float,
-    shortest_mm: float,
-) -> None:
-    """Move a point towards the far one, in time as in space, until it is far enough from the near one."""
-    ahead, behind, both = 0.0, 0.0, 0.0
-    for i in range(3):
-        step, apart = points[far, i] - points[k, i], points[k, i] - points[near, i]
-        ahead += step * step
-        behind += apart * apart
-        both += step * apart
-    if ahead <= 0.0:
-        return
-    share = (np.sqrt(both * both + ahead * (shortest_mm * shortest_mm - behind)) - both) / ahead
-    left = 1.0 - share
-    if left * np.sqrt(ahead) < shortest_mm or left * abs(at[far] - at[k]) < shortest:
-        return  # no room
-    at[k] += share * (at[far] - at[k])
-    e[k] += share * (e[far] - e[k])
-    for i in range(3):
-        points[k, i] += share * (points[far, i] - points[k, i])
-
-
-@kernel
 def _chosen(
     at: FloatArray,
     points: FloatArray,
