@@ -254,8 +254,7 @@ class Writer:
         of_points = at[stay], points[stay], timeline.e[stay]
         chosen = merge(*of_points, pinned, self.merging, CUT)
         chosen, pinned = self.firmware.chosen(*of_points, chosen, pinned)
-        whole = piece.begin == 0, piece.end == piece.last
-        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s) - 1, *whole)
+        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s) - 1)
         kept, fixed = stay[chosen], pinned[chosen]
         fixed[0] = fixed[-1] = True
         placed = refit(at[stay], points[stay], chosen, fixed)
@@ -271,7 +270,8 @@ class Writer:
         due, lasting = self.firmware.times(at, points)
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
-        feed, speeds = self.firmware.speeds(points, e, lasting, self._file_limits(), filament if whole[1] else None)
+        after = filament if piece.end == piece.last else None
+        feed, speeds = self.firmware.speeds(points, e, lasting, self._file_limits(), after)
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         timed = TimedSegments(due, points, speeds).part(begin, end)
         late_s = np.where(speeds.duration > 0.0, speeds.duration - lasting, 0.0)  # of whole steps some are early

@@ -114,14 +114,10 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
 
 
 @kernel
-def at_most(
-    at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, most: int, begins: bool, ends: bool
-) -> IntArray:
+def at_most(at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, most: int) -> IntArray:
     """Leave out points where `most` segments or more would begin within as many knots: lines of the file cut some.
 
-    From a run's begin on, and up to its end, there is also no more than one for each knot of any shorter time: so that
-    whatever time holds parts of several runs has no more either. Of those that may go, the one goes that the path
-    between its neighbours misses least.
+    Of those that may go, the one goes that the path between its neighbours misses least.
 
     Parameters
     ----------
@@ -129,7 +125,6 @@ def at_most(
     points : (n, 3) mm
     kept : (m,) indices of the points that are kept, as `merge` returns them
     pinned : (n,) points that must stay
-    begins, ends : the first point, the last is where a run does
 
     Returns
     -------
@@ -143,20 +138,6 @@ def at_most(
         else:
             fewer = count
         first += fewer == count
-        count = fewer
-    size = 1
-    while begins and size < min(most, count):
-        fewer = count
-        if at[stays[size]] - at[stays[0]] < size - KNOT_ROUNDING:
-            fewer = _leave_out(at, points, stays, count, pinned, 1, size)
-        size += fewer == count
-        count = fewer
-    size = 1
-    while ends and size < min(most, count):
-        fewer = count
-        if at[stays[count - 1]] - at[stays[count - 1 - size]] < size - KNOT_ROUNDING:
-            fewer = _leave_out(at, points, stays, count, pinned, max(count - 1 - size, 1), count - 2)
-        size += fewer == count
         count = fewer
     return stays[:count].copy()
 
