@@ -292,6 +292,12 @@ def _declared(request: Any, types_: dict[str, Any] | None = None) -> Iterator[De
                 yield Declared(field.name, get_args(hints[field.name])[0], field.default, option)
 
 
+def shared_with(request: Request, cls: type[Any], **others: Any) -> dict[str, Any]:
+    """Return the fields of another class that a request has by the same name; what is None keeps its default there."""
+    values = {each.name: getattr(request, each.name, None) for each in fields(cls)} | others
+    return {name: value for name, value in values.items() if value is not None}
+
+
 FORCE = Option("Overwrite files that exist.", OUTPUT)
 
 

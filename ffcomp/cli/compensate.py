@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import closing
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from ffcomp.cli.command import verb
 from ffcomp.cli.common import fail, say
 from ffcomp.cli.progress import Progress
 from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions, CompensateRequest
+from ffcomp.request import shared_with
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def _compensate_one(
     from ffcomp.api.compensation import compensate_print
 
     (file,) = request.files
-    options = {each.name: getattr(request, each.name) for each in fields(CompensateOptions)}
+    options = shared_with(request, CompensateOptions)
     with Progress(1.0) as progress:
         one = CompensateRequest(file, machine, target, progress, **options)
         done = compensate_print(one, call.output_name, advice, call.bed)

@@ -39,6 +39,7 @@ from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
+from ffcomp.request import shared_with
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
@@ -95,34 +96,15 @@ class Options:
             choice = PLAIN
         else:
             choice = choose_robust(machine, settings, {"on": True, "off": False}.get(request.robust))
-        return cls(
-            offset=request.offset_mm,
-            flavor=request.flavor,
-            settings=replace(settings, robust=choice.robust),
-            predict=request.predict,
-            keep_shaper=request.keep_shaper,
-            force=request.force,
-            steps=_step_output(request, machine),
-            bed=bed,
-            bound=bound,
-            robust=choice,
-        )
+        made = {"settings": replace(settings, robust=choice.robust), "steps": _step_output(request, machine)}
+        return cls(**shared_with(request, cls, **made, offset=request.offset_mm, bed=bed, bound=bound, robust=choice))
 
 
 def _bound_of(request: CompensateOptions) -> Bound | None:
     errors_um = request.errors_um
     if not errors_um:
         return None
-    return Bound(
-        errors_um.pop(""),
-        of_features_um=tuple(errors_um.items()),
-        keep_speed=request.keep_speed,
-        max_flow_mm3_per_s=request.max_flow_mm3_per_s,
-        max_speed_mm_per_s=request.max_speed_mm_per_s,
-        min_layer_time_s=request.min_layer_time_s,
-        change_speed=request.change_speed,
-        safety=request.safety,
-    )
+    return Bound(**shared_with(request, Bound, max_error_um=errors_um.pop(""), of_features_um=tuple(errors_um.items())))
 
 
 def _step_output(request: CompensateOptions, machine: Machine) -> StepOutput | None:

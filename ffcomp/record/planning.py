@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ffcomp.errors import RequestError
 from ffcomp.numerics.serialise import keys
@@ -29,6 +29,7 @@ from ffcomp.record.plan import (
 )
 from ffcomp.record.prints import plan_print, print_lines
 from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
+from ffcomp.request import shared_with
 from ffcomp.result import Fact, Result
 from gcode.atomic_write import replace_atomically
 from gcode.dialect import KLIPPER
@@ -206,15 +207,15 @@ def _planned(request: PlanRequest, machine: Machine, recorder: Recorder) -> tupl
         plan, program = plan_print(request.print_file, machine, recorder.flavor)
         return plan, print_lines(plan, program, recorder)
     if request.purpose == "scan":
-        page = Page(**_options(request, Page))
-        options = _options(request, PageRequest, page=page, acceleration_mm_per_s2=amplitude)
+        page = Page(**shared_with(request, Page))
+        options = shared_with(request, PageRequest, page=page, acceleration_mm_per_s2=amplitude)
         plan = make_page(machine, PageRequest(**options))
         return plan, page_lines(plan, machine, recorder)
     if request.purpose == "identify":
         groups = kinematics.excitation_directions
         axes = request.axes or next(iter(groups))  # the first is the machine's default
         one_of("--axes", [axes], groups)
-        options = _options(
+        options = shared_with(
             request,
             ExcitationRequest,
             places_mm=_excited_places(request.at or (CENTRE,), machine),
@@ -228,15 +229,9 @@ def _planned(request: PlanRequest, machine: Machine, recorder: Recorder) -> tupl
     else:
         places = [number_pair("--at", text) for text in request.at]
         kinds = list(dict.fromkeys(request.kind)) or None
-        options = _options(request, Request, places_mm=places, kinds=kinds, acceleration_mm_per_s2=amplitude)
+        options = shared_with(request, Request, places_mm=places, kinds=kinds, acceleration_mm_per_s2=amplitude)
         plan = make_plan(machine, Request(**options))
     return plan, gcode_lines(plan, machine, recorder)
-
-
-def _options(request: PlanRequest, cls: type[Any], **others: Any) -> dict[str, Any]:
-    """Return the fields of a plan's own request that the command line states; the others keep their defaults."""
-    values = {each.name: getattr(request, each.name, None) for each in fields(cls)} | others
-    return {name: value for name, value in values.items() if value is not None}
 
 
 def _excited_places(texts: Sequence[str], machine: Machine) -> list[Place]:
