@@ -25,7 +25,7 @@ def own_folders(folder: Path) -> dict[str, str]:
 
 
 @contextmanager
-def client(folder: Path, patch: pytest.MonkeyPatch, warm: bool = True, **settings: Any) -> Iterator[Any]:
+def client(folder: Path, patch: pytest.MonkeyPatch, **settings: Any) -> Iterator[Any]:
     """A client of a server that runs in a thread; `client.server` is the server."""
     import httpx
     import uvicorn
@@ -35,7 +35,7 @@ def client(folder: Path, patch: pytest.MonkeyPatch, warm: bool = True, **setting
 
     for name, value in own_folders(folder).items():
         patch.setenv(name, value)
-    server = Server(Settings(folder=folder / "work", **settings), warm=warm)
+    server = Server(Settings(folder=folder / "work", **settings))
     with socket.create_server(("127.0.0.1", 0), backlog=128) as door:
         running = uvicorn.Server(uvicorn.Config(server.app(), log_level="warning", ws="none"))
         thread = threading.Thread(target=running.run, args=([door],))
