@@ -35,7 +35,7 @@ from ffcomp.diagnosis.problem import REACH_SD, Parameter, stem_of
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.errors import MeasurementError, NothingToDo, RequestError
 from ffcomp.identification.machine_fit import hash_of, number_facts
-from ffcomp.identification.page_fit import SCALE
+from ffcomp.identification.page.fit import SCALE
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.measurement.recording import Recording

@@ -17,7 +17,7 @@ from ffcomp.identification.direct import Identified, scale_is_weak
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS
-from ffcomp.identification.page_fit import PageFit
+from ffcomp.identification.page.fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import keys

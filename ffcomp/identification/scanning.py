@@ -11,9 +11,9 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import Origin, ScanFit, hash_of, scan_file_text
-from ffcomp.identification.page_fit import SCALE, PageFit, fit_page, machine_unknowns
-from ffcomp.identification.page_lines import read_lines
-from ffcomp.identification.page_picture import find_page, read_picture
+from ffcomp.identification.page.fit import SCALE, PageFit, fit_page, machine_unknowns
+from ffcomp.identification.page.lines import read_lines
+from ffcomp.identification.page.picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Page, Plan, load_plan

@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.signal import savgol_filter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.page_picture import RETAKE, Sight, with_lines
+from ffcomp.identification.page.picture import RETAKE, Sight
 from ffcomp.record.page import Line, last_line, twins
 from ffcomp.record.plan import Experiment, Plan
 from models.arrays import FloatArray
@@ -73,7 +73,9 @@ def _refined(sight: Sight, plan: Plan) -> Sight:
         at, across, off = _offsets(sight, [last_line(slow.motion) for _, slow in twins(plan)])
         if len(at) < 20:
             return sight
-        sight = with_lines(sight, at, across, off)
+        normal = sight.pixels(at + 0.05 * across) - sight.pixels(at - 0.05 * across)
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        sight = sight.refined(at, sight.pixels(at + off[:, None] * across), normal)
     return _steadied(sight, plan)
 
 

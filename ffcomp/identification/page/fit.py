@@ -31,7 +31,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.page_lines import STEP_MM, ReadLine
+from ffcomp.identification.page.lines import STEP_MM, ReadLine
 from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, normal, through
 from ffcomp.inference.fit import FitResult, Settings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown

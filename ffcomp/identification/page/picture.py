@@ -1,17 +1,16 @@
-"""A picture of a page, and where on the page each of its points is.
+"""A picture of a page, and where in it each point of the page is.
 
 File -> contrast of ink to paper -> discs -> which disc is which (an affine map of three, then a perspective of all) ->
 perspective and the lens' distortion by least squares. Whatever scanner, lens and paper do beyond that is smooth enough
-to shift a stroke and the slow line beside it alike (`page_lines.py`).
+to shift a stroke and the slow line beside it alike (`lines.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,9 @@ from ffcomp.record.page import DISC_MM, TWIN_MM, discs_of, last_line, twins
 from ffcomp.record.plan import Plan
 from models.arrays import FloatArray, IntArray
 
-MOST_PIXELS = 400e6
-FEWEST_PIXELS_PER_MM = 8.0  # 200 dpi
+Pixels = NDArray[np.float32]  # (rows, columns)
+
+FEWEST_PIXELS, FEWEST_PIXELS_PER_MM = 200, 8.0  # of the picture's shorter side; 200 dpi
 COARSE_PX = 1800  # of the picture's longer side, while discs are sought
 TILE_PX = 24  # of the coarse picture, for the brightness of the paper
 LEAST_CONTRAST = 0.12
@@ -36,6 +36,7 @@ NEAR_AFFINE_MM, NEAR_MM, MOST_MISFIT_MM = 9.0, 1.2, 0.2  # from a disc's place: 
 LEAST_TRIANGLE_MM2, LEAST_UPRIGHT, MOST_MAPS = 600.0, 0.33, 3  # no needles; no map that stretches more than 2.6 to 1
 LEAST_SHARE = 0.7  # of the discs that lie inside the picture
 LEAST_STANDARD_ERRORS = 4.0  # contrast of slow lines to the paper beside them
+DISC_SD_MM, LINE_SD_MM, BARREL_SD = 0.03, 0.05, (0.02, 0.005)  # of a map: of its points; its distortion, as a prior
 
 RETAKE = "Take it again, straight from above, with all discs in it, in even light without flash"
 
@@ -45,7 +46,12 @@ class Picture:
     """The darkness of a page's ink against its paper: about 0 on paper, 1 in ink."""
 
     path: str
-    ink: NDArray[np.float32]  # (rows, columns)
+    ink: Pixels
+
+    @property
+    def middle(self) -> FloatArray:
+        """Return the picture's middle, (2,) pixels: column, row."""
+        return 0.5 * np.array(self.ink.shape[::-1], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +61,14 @@ class Sight:
     picture: Picture
     perspective: FloatArray  # (3, 3), of (x, y, 1) mm to pixels: column, row
     barrel: FloatArray  # (2,) of the second and the fourth power of the radius
-    discs: FloatArray  # (k,) which of the page's discs were seen
-    misfit_mm: float  # rms, of the discs
+    discs: IntArray  # (k,) which of the page's discs were seen
+    disc_mm: FloatArray  # (k, 2) where they are on the page
+    disc_px: FloatArray  # (k, 2) and in the picture
     wobble: FloatArray = field(default_factory=lambda: np.zeros((2, 1)))  # (2, k) rows, and by how many rows off there
 
     def pixels(self, xy: FloatArray) -> FloatArray:
         """Return the pixels (..., 2) of page positions (..., 2) mm."""
-        px = _project(self.perspective, self.barrel, self._middle, xy)
+        px = _distorted(_projected(self.perspective, xy), self.barrel, self.picture.middle)
         px[..., 1] += np.interp(px[..., 1], *self.wobble)
         return px
 
@@ -73,21 +80,56 @@ class Sight:
 
     def holds(self, xy: FloatArray) -> bool:
         """Tell whether page positions (n, 2) mm all lie in the picture."""
-        rows, columns = self.picture.ink.shape
         px = self.pixels(xy)
-        return bool(np.all((px >= 0.0) & (px <= [columns - 1, rows - 1])))
+        return bool(np.all((px >= 0.0) & (px <= 2 * self.picture.middle - 1)))
 
     @property
-    def _middle(self) -> FloatArray:
-        rows, columns = self.picture.ink.shape
-        return 0.5 * np.array([columns, rows], dtype=float)
+    def misfit_mm(self) -> float:
+        """Root mean square of the discs' distances from where the map has them."""
+        gap = self.pixels(self.disc_mm) - self.disc_px
+        return float(np.sqrt(np.sum(gap**2) / (gap.size - 8))) / _scale(self.perspective)  # a perspective's numbers
+
+    def refined(self, at_mm: FloatArray, px: FloatArray, normal: FloatArray) -> Sight:
+        """Fit perspective and distortion to the discs and to places of straight lines, which count across them.
+
+        Parameters
+        ----------
+        at_mm, px, normal : (n, 2) places on the page, where lines are seen for them, and unit vectors across, pixels.
+        """
+        k, scale, middle = len(self.discs), _scale(self.perspective), self.picture.middle
+        where = np.concatenate([self.disc_mm, self.disc_mm, at_mm])
+        seen = np.concatenate([self.disc_px, self.disc_px, px])
+        counts = np.concatenate([np.repeat(np.eye(2), k, axis=0), normal])
+        sd = scale * np.repeat([DISC_SD_MM, LINE_SD_MM], [2 * k, len(at_mm)])
+        unit = np.array([scale, scale, 1.0, scale, scale, 1.0, 1e-5, 1e-5])
+
+        def mapped(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return self.perspective + np.append(unit * z[:8], 0.0).reshape(3, 3), z[8:] * BARREL_SD
+
+        def residual(z: FloatArray) -> FloatArray:
+            perspective, barrel = mapped(z)
+            gap = _distorted(_projected(perspective, where), barrel, middle) - seen
+            return np.append(np.sum(gap * counts, axis=1) / sd, z[8:])
+
+        start = np.append(np.zeros(8), self.barrel / BARREL_SD)
+        perspective, barrel = mapped(minimise(residual, start, evaluations=2000, tolerance=1e-7).x)
+        return Sight(self.picture, perspective, barrel, self.discs, self.disc_mm, self.disc_px, self.wobble)
 
 
-def _project(perspective: FloatArray, barrel: FloatArray, middle: FloatArray, xy: FloatArray) -> FloatArray:
-    flat = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1) @ perspective.T
-    away = flat[..., :2] / flat[..., 2:] - middle
+def _projected(perspective: FloatArray, xy: FloatArray) -> FloatArray:
+    flat = xy @ perspective[:, :2].T + perspective[:, 2]
+    return np.asarray(flat[..., :2] / flat[..., 2:])
+
+
+def _distorted(px: FloatArray, barrel: FloatArray, middle: FloatArray) -> FloatArray:
+    away = px - middle
     radius2 = np.sum((away / np.linalg.norm(middle)) ** 2, axis=-1, keepdims=True)
     return np.asarray(middle + away * (1.0 + barrel[0] * radius2 + barrel[1] * radius2**2))
+
+
+def _scale(perspective: FloatArray) -> float:
+    """Return pixels a mm, roughly."""
+    return float(np.sqrt(abs(np.linalg.det(perspective[:2, :2]))))
 
 
 # ---- from a file to ink --------------------------------------------------------------------------
@@ -105,83 +147,62 @@ def read_picture(path: str | Path) -> Picture:
 
     try:
         with Image.open(path) as image:
-            if image.width * image.height > MOST_PIXELS:
-                raise MeasurementError(
-                    str(path),
-                    [f"The picture has {image.width} x {image.height} pixels. 600 dpi of one page are enough."],
-                )
-            grey = _grey(np.asarray(ImageOps.exif_transpose(image.convert(_mode(image.mode)))))
+            as_read = image if image.mode.startswith("I;16") or image.mode in "IF" else image.convert("RGB")
+            grey = _grey(np.asarray(ImageOps.exif_transpose(as_read)))
     except UnidentifiedImageError:
-        raise MeasurementError(
-            str(path), ["This is no picture that can be read: give a JPEG, PNG or TIFF file."]
-        ) from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, MeasurementError | FileNotFoundError | PermissionError | IsADirectoryError):
+        problem = "This is no picture that can be read: give a JPEG, PNG or TIFF file."
+        raise MeasurementError(str(path), [problem]) from None
+    except Image.DecompressionBombError as error:
+        raise MeasurementError(str(path), [f"{error} 600 dpi of one page are enough."]) from None
+    except (OSError, SyntaxError, ValueError) as error:
+        if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
             raise
         raise MeasurementError(str(path), [f"The picture is not complete ({error}). Copy or scan it again."]) from None
-    return Picture(str(path), _ink(grey, str(path)))
+    if min(grey.shape) < FEWEST_PIXELS:
+        problem = f"The picture has {grey.shape[1]} x {grey.shape[0]} pixels: too few of a page."
+        raise MeasurementError(str(path), [problem])
+    return Picture(str(path), _ink(grey))
 
 
-def _mode(mode: str) -> str:
-    return mode if mode.startswith("I;16") or mode in ("I", "F") else "RGB"
-
-
-def _grey(pixels: NDArray[Any]) -> NDArray[np.float32]:
-    """Choose the channel in which ink and paper differ most: (rows, columns), single precision."""
+def _grey(pixels: NDArray[np.generic]) -> Pixels:
+    """Choose the channel in which ink and paper differ most."""
     if pixels.ndim == 2:
         return pixels.astype(np.float32)
-    sparse = pixels[::7, ::7].reshape(-1, 3).astype(float)
-    low, middle, high = np.percentile(sparse, [1, 50, 99], axis=0)
+    low, middle, high = np.percentile(pixels[::7, ::7].reshape(-1, 3).astype(float), [1, 50, 99], axis=0)
     return pixels[..., int(np.argmax(np.maximum(middle - low, high - middle)))].astype(np.float32)
 
 
-def _ink(grey: NDArray[np.float32], path: str) -> NDArray[np.float32]:
-    """Divide by the paper's brightness around, so that shadows do not matter."""
-    if min(grey.shape) < 200:
-        raise MeasurementError(path, [f"The picture has {grey.shape[1]} x {grey.shape[0]} pixels: too few of a page."])
-    k = max(1, max(grey.shape) // COARSE_PX)
-    small = _reduced(grey, k)
+def _ink(grey: Pixels) -> Pixels:
+    """Divide by the paper's brightness around, between the lines too, so that shadows do not matter."""
+    from PIL import Image
+
+    small = _reduced(grey)
     low, middle, high = np.percentile(small, [0.5, 50, 99.5])
     if high - middle > 1.5 * (middle - low):  # bright ink on a dark bed
         grey, small = grey.max() - grey, grey.max() - small
-    paper = np.maximum(_paper(small), 1e-3 * max(float(small.max()), 1e-6))
-    rows = (np.arange(grey.shape[0]) + 0.5) / k - 0.5
-    columns = (np.arange(grey.shape[1]) + 0.5) / k - 0.5
-    ink = np.empty(grey.shape, dtype=np.float32)
-    for first in range(0, len(rows), 512):  # in strips: a fine scan has 140 million pixels
-        part = slice(first, first + 512)
-        around = _bilinear(paper, rows[part], columns)
-        ink[part] = 1.0 - grey[part] / around
-    return ink
+    padded = np.pad(small, [(0, -n % TILE_PX) for n in small.shape], mode="edge")
+    rows, columns = (n // TILE_PX for n in padded.shape)
+    tiles = np.percentile(padded.reshape(rows, TILE_PX, columns, TILE_PX), 80, axis=(1, 3))
+    tiles = ndimage.gaussian_filter(ndimage.percentile_filter(tiles, 60, size=5, mode="nearest"), 1.0, mode="nearest")
+    tiles = np.maximum(tiles, 1e-3 * max(float(small.max()), 1e-6)).astype(np.float32)
+    height, width = grey.shape
+    tile = TILE_PX * _coarse(grey)
+    paper = Image.fromarray(tiles).resize(
+        (width, height), Image.Resampling.BILINEAR, box=(0, 0, width / tile, height / tile)
+    )
+    return np.asarray(1.0 - grey / np.asarray(paper), dtype=np.float32)
 
 
-def _bilinear(values: FloatArray, rows: FloatArray, columns: FloatArray) -> FloatArray:
-    for axis, at in ((0, rows), (1, columns)):
-        at = np.clip(at, 0, values.shape[axis] - 1)
-        low = np.minimum(at.astype(int), values.shape[axis] - 2)
-        share = (at - low).astype(np.float32)
-        share = share[:, None] if axis == 0 else share
-        values = values.take(low, axis) * (1 - share) + values.take(low + 1, axis) * share
-    return values
+def _coarse(picture: Pixels) -> int:
+    """Return how many pixels of a picture are one of the coarse picture, along each side."""
+    return -(-max(picture.shape) // COARSE_PX)
 
 
-def _paper(small: FloatArray) -> FloatArray:
-    """Return the paper's brightness (as `small`), between the lines too."""
-    height, width = (max(2, -(-n // TILE_PX)) for n in small.shape)
-    tiles = np.full((height, width), np.nan, dtype=np.float32)
-    for i in range(height):
-        for j in range(width):
-            tile = small[i * TILE_PX : (i + 1) * TILE_PX, j * TILE_PX : (j + 1) * TILE_PX]
-            tiles[i, j] = np.percentile(tile, 80) if tile.size else np.nan
-    tiles = np.where(np.isnan(tiles), np.nanmedian(tiles), tiles)
-    smooth = ndimage.gaussian_filter(ndimage.percentile_filter(tiles, 60, size=5, mode="nearest"), 1.0, mode="nearest")
-    at = [(np.arange(n) + 0.5) / TILE_PX - 0.5 for n in small.shape]
-    return _bilinear(np.asarray(smooth, dtype=np.float32), at[0], at[1])
+def _reduced(picture: Pixels) -> Pixels:
+    """Return the coarse picture."""
+    from PIL import Image
 
-
-def _reduced(grey: NDArray[np.float32], k: int) -> FloatArray:
-    rows, columns = (n // k * k for n in grey.shape)
-    return np.asarray(grey[:rows, :columns].reshape(rows // k, k, columns // k, k).mean(axis=(1, 3)))
+    return np.asarray(Image.fromarray(picture).reduce(_coarse(picture)))
 
 
 # ---- discs ---------------------------------------------------------------------------------------
@@ -196,52 +217,53 @@ def find_page(picture: Picture, plan: Plan) -> Sight:
         If it is not there, mirrored, of another plan, blurred, or too small.
     """
     page, blots = discs_of(plan), _blots(picture)
-    if len(blots) < LEAST_DISCS:
-        raise MeasurementError(
-            picture.path,
-            [
+    sight = _found(picture, plan, blots)
+    if sight is None:
+        if len(blots) < LEAST_DISCS:
+            problem = (
                 f"{len(blots)} of the page's {len(page)} discs can be seen, and {LEAST_DISCS} are needed: the picture "
                 f"is empty, blurred, or cut off. {RETAKE}."
-            ],
-        )
-    found = _found(picture, plan, blots)
-    if found is None:
-        if _found(picture, plan, blots, flip=-1.0) is not None:
-            raise MeasurementError(
-                picture.path,
-                ["The page is mirrored. Flip the picture, or scan the printed side (not through a glass plate)."],
             )
-        raise MeasurementError(
-            picture.path,
-            [
+        elif _found(picture, plan, blots, flip=-1.0) is not None:
+            problem = "The page is mirrored. Flip the picture, or scan the printed side (not through a glass plate)."
+        else:
+            problem = (
                 f"There are {len(blots)} round blots, but no {LEAST_DISCS} of them are where this plan's discs are: it "
                 "is the page of another plan or of another machine, or too much of it is missing. Give the .json file "
                 f"that was written with the G-code of this page, and the whole page. {RETAKE}."
-            ],
+            )
+        raise MeasurementError(picture.path, [problem])
+    resolution = min(sight.pixels_per_mm(at) for at in sight.disc_mm)
+    if resolution < FEWEST_PIXELS_PER_MM:
+        problem = (
+            f"The picture has {resolution:.1f} pixels a mm ({25.4 * resolution:.0f} dpi), and needs "
+            f"{FEWEST_PIXELS_PER_MM:g}. Scan at 600 dpi, or let the page fill the photo."
         )
-    sight, used = found
-    if _found(picture, plan, np.delete(blots, used, axis=0)) is not None:
-        raise MeasurementError(picture.path, ["There are two pages in the picture. Cut it so that it shows one."])
-    _check(sight, page)
+        raise MeasurementError(picture.path, [problem])
     return sight
 
 
-def _found(picture: Picture, plan: Plan, blots: FloatArray, flip: float = 1.0) -> tuple[Sight, list[int]] | None:
-    """Return the map of the page, mirrored if `flip` is -1, and which blots are its discs; None if none fits.
+def _found(picture: Picture, plan: Plan, blots: FloatArray, flip: float = 1.0) -> Sight | None:
+    """Return the map of the page, mirrored if `flip` is -1; None if none fits.
 
     Discs are of one size; which one is not known, so each is tried, the largest first. Ink where the slow lines are
     proves a map: few discs among many blots fit by chance.
     """
     turned = np.array([flip, 1.0])
-    page = turned * discs_of(plan)
+    page, none = turned * discs_of(plan), np.empty((0, 2))
     size = float(blots[:, 2].max(initial=0.0))
     while size > blots[:, 2].min(initial=np.inf):
-        group = np.flatnonzero((blots[:, 2] > ONE_SIZE[0] * size) & (blots[:, 2] < ONE_SIZE[1] * size))
-        pairs = _matched(page, blots[group], picture.ink.shape) if len(group) >= LEAST_DISCS else []
+        group = blots[(blots[:, 2] > ONE_SIZE[0] * size) & (blots[:, 2] < ONE_SIZE[1] * size)]
+        pairs = _matched(page, group, picture) if len(group) >= LEAST_DISCS else []
         if pairs:
-            sight = _fitted(picture, page, pairs, blots[group])
+            which, px = (
+                np.array([i for i, _ in pairs]),
+                np.array([_middle_of(picture.ink, *group[j]) for _, j in pairs]),
+            )
+            rough = Sight(picture, _perspective(page[which], px), np.zeros(2), which, page[which], px)
+            sight = rough.refined(none, none, none)
             if sight.misfit_mm < MOST_MISFIT_MM and _lines_are_dark(sight, plan, turned):
-                return sight, [int(group[j]) for _, j in pairs]
+                return sight
         size /= SIZE_STEP
     return None
 
@@ -261,23 +283,9 @@ def _lines_are_dark(sight: Sight, plan: Plan, turned: FloatArray) -> bool:
     return bool(np.mean(darker or [0.0]) > LEAST_STANDARD_ERRORS * error)
 
 
-def _check(sight: Sight, page: FloatArray) -> None:
-    path = sight.picture.path
-    resolution = min(sight.pixels_per_mm(page[int(i)]) for i in sight.discs)
-    if resolution < FEWEST_PIXELS_PER_MM:
-        raise MeasurementError(
-            path,
-            [
-                f"The picture has {resolution:.1f} pixels a mm ({25.4 * resolution:.0f} dpi), and needs "
-                f"{FEWEST_PIXELS_PER_MM:g}. Scan at 600 dpi, or let the page fill the photo."
-            ],
-        )
-
-
 def _blots(picture: Picture) -> FloatArray:
     """Find round dark blots of all sizes: (n, 3) columns column, row, radius, pixels of the picture."""
-    k = max(1, -(-max(picture.ink.shape) // COARSE_PX))
-    coarse = _reduced(picture.ink, k)
+    coarse, k = _reduced(picture.ink), _coarse(picture.ink)
     dark = coarse > max(LEAST_CONTRAST, 0.5 * float(np.percentile(coarse, 99.7)))
     dark = ndimage.binary_closing(dark, iterations=2)  # where the spiral of a disc ends
     depth = ndimage.distance_transform_edt(dark)
@@ -305,7 +313,7 @@ def _blots(picture: Picture) -> FloatArray:
     return k * single + [0.5 * (k - 1), 0.5 * (k - 1), 0.0]
 
 
-def _matched(page: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> list[tuple[int, int]]:
+def _matched(page: FloatArray, seen: FloatArray, picture: Picture) -> list[tuple[int, int]]:
     """Match discs of the page (n, 2) mm with blots (m, 3) pixels: pairs of indices; rows count downwards.
 
     Any three discs and any three blots make an affine map, if its scale is that of the blots' sizes; the one that
@@ -316,7 +324,7 @@ def _matched(page: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> list
     for triple in np.random.default_rng(0).permutation(list(combinations(range(len(page)), 3))):
         for affine in _affine_maps(page, seen, triple, nearest):
             pairs = _grown(page, seen[:, :2], affine)
-            expected = _expected(page, seen, pairs, shape) if len(pairs) > len(best) else len(page) + 1
+            expected = _expected(page, seen, pairs, picture) if len(pairs) > len(best) else len(page) + 1
             if len(pairs) >= max(LEAST_DISCS, LEAST_SHARE * expected):
                 best = pairs
                 if len(pairs) >= expected:
@@ -352,10 +360,8 @@ def _grown(page: FloatArray, seen: FloatArray, affine: FloatArray) -> list[tuple
     perspective = np.vstack([affine.T, [0.0, 0.0, 1.0]])
     pairs: list[tuple[int, int]] = []
     for near in (NEAR_AFFINE_MM, 5.0, 3.0, NEAR_MM, NEAR_MM):
-        flat = np.column_stack([page, np.ones(len(page))]) @ perspective.T
-        there = flat[:, :2] / flat[:, 2:]
-        scale = np.sqrt(abs(np.linalg.det(perspective[:2, :2])))
-        gap = np.linalg.norm(there[:, None] - seen[None], axis=2) / scale
+        there = _projected(perspective, page)
+        gap = np.linalg.norm(there[:, None] - seen[None], axis=2) / _scale(perspective)
         nearest = gap.argmin(axis=1)
         pairs = [(i, int(j)) for i, j in enumerate(nearest) if gap[i, j] < near and gap[:, j].argmin() == i]
         if len(pairs) < LEAST_DISCS:
@@ -382,37 +388,13 @@ def _normal(points: FloatArray) -> FloatArray:
     return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
 
 
-def _expected(page: FloatArray, seen: FloatArray, pairs: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> int:
+def _expected(page: FloatArray, seen: FloatArray, pairs: Sequence[tuple[int, int]], picture: Picture) -> int:
     """Count the discs that should be in the picture."""
-    perspective = _perspective(page[[i for i, _ in pairs]], seen[[j for _, j in pairs], :2])
-    flat = np.column_stack([page, np.ones(len(page))]) @ perspective.T
-    there = flat[:, :2] / flat[:, 2:]
-    return int(np.all((there > 0) & (there < [shape[1], shape[0]]), axis=1).sum())
+    there = _projected(_perspective(page[[i for i, _ in pairs]], seen[[j for _, j in pairs], :2]), page)
+    return int(np.all((there > 0) & (there < 2 * picture.middle), axis=1).sum())
 
 
-def _fitted(picture: Picture, page: FloatArray, pairs: Sequence[tuple[int, int]], seen: FloatArray) -> Sight:
-    """Fit perspective and distortion to the discs' middles at full resolution."""
-    which = np.array([i for i, _ in pairs])
-    px = np.array([_middle_of(picture.ink, *seen[j]) for _, j in pairs])
-    start = _perspective(page[which], px)
-    middle = 0.5 * np.array(picture.ink.shape[::-1], dtype=float)
-    scale = float(np.sqrt(abs(np.linalg.det(start[:2, :2]))))
-    unit = np.array([scale, scale, 1.0, scale, scale, 1.0, 1e-5, 1e-5])
-
-    def residual(z: FloatArray) -> FloatArray:
-        perspective = start + np.append(unit * z[:8], 0.0).reshape(3, 3)
-        there = _project(perspective, z[8:] * [0.02, 0.005], middle, page[which])
-        return np.concatenate([((there - px) / (0.03 * scale)).ravel(), z[8:]])
-
-    solution = minimise(residual, np.zeros(10), evaluations=2000)
-    perspective = start + np.append(unit * solution.x[:8], 0.0).reshape(3, 3)
-    barrel = solution.x[8:] * [0.02, 0.005]
-    gap = _project(perspective, barrel, middle, page[which]) - px
-    misfit = float(np.sqrt(np.sum(gap**2) / (gap.size - 8)))  # a perspective has eight numbers
-    return Sight(picture, perspective, barrel, which, misfit / scale)
-
-
-def _middle_of(ink: NDArray[np.float32], column: float, row: float, radius: float) -> FloatArray:
+def _middle_of(ink: Pixels, column: float, row: float, radius: float) -> FloatArray:
     """Return a disc's centroid, (2,) pixels."""
     reach = int(1.6 * radius) + 3
     r0, c0 = max(0, int(row) - reach), max(0, int(column) - reach)
@@ -424,31 +406,3 @@ def _middle_of(ink: NDArray[np.float32], column: float, row: float, radius: floa
         weight = weight * (labels == 1 + int(np.argmax(sizes)))
     r, c = np.mgrid[r0 : r0 + part.shape[0], c0 : c0 + part.shape[1]]
     return np.array([np.sum(weight * c), np.sum(weight * r)]) / np.sum(weight)
-
-
-def with_lines(sight: Sight, at_mm: FloatArray, across: FloatArray, off_mm: FloatArray) -> Sight:
-    """Refine a map by how far straight, slow lines were off it.
-
-    Parameters
-    ----------
-    at_mm, across, off_mm : (n, 2), (n, 2), (n,) positions of the page, the lines' normals, how far off they were seen
-    """
-    middle = 0.5 * np.array(sight.picture.ink.shape[::-1], dtype=float)
-    where = sight.pixels(at_mm + off_mm[:, None] * across)
-    step = 0.05
-    normal = (sight.pixels(at_mm + step * across) - sight.pixels(at_mm - step * across)) / (2 * step)
-    size = np.linalg.norm(normal, axis=1)
-    normal /= size[:, None]
-    start = sight.perspective
-    scale = float(np.sqrt(abs(np.linalg.det(start[:2, :2]))))
-    unit = np.array([scale, scale, 1.0, scale, scale, 1.0, 1e-5, 1e-5]) * 0.01
-
-    def residual(z: FloatArray) -> FloatArray:
-        perspective = start + np.append(unit * z[:8], 0.0).reshape(3, 3)
-        barrel = sight.barrel + z[8:] * [0.005, 0.002]
-        gap = np.sum((_project(perspective, barrel, middle, at_mm) - where) * normal, axis=1) / size
-        return np.concatenate([gap / 0.05, 0.3 * z])
-
-    solution = minimise(residual, np.zeros(10), evaluations=500, tolerance=1e-6)
-    perspective = start + np.append(unit * solution.x[:8], 0.0).reshape(3, 3)
-    return replace(sight, perspective=perspective, barrel=sight.barrel + solution.x[8:] * [0.005, 0.002])
