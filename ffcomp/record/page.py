@@ -8,7 +8,7 @@ the page is. They are scattered by a seed and the machine's hash, so that no two
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -50,28 +50,13 @@ class PageRequest:
     seed: int = 1
 
 
-@dataclass(frozen=True)
-class _Box:
-    """A rectangle on the bed: its middle and its half sides, mm."""
-
-    middle: FloatArray  # (2,)
-    half: FloatArray  # (2,)
-
-    def meets(self, other: _Box, apart: float) -> bool:
-        return bool(np.all(np.abs(self.middle - other.middle) < self.half + other.half + apart))
-
-    @property
-    def corners(self) -> FloatArray:
-        return np.asarray(self.middle + self.half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
-
-
 # ---- the plan ------------------------------------------------------------------------------------
 
 
 def make_page(machine: Machine, request: PageRequest) -> Plan:
     """Lay out a page on the machine's bed; LimitsError where the bed is too small, or a limit is exceeded."""
     limits = _limits(machine, request)
-    cells = _cells(machine.kinematics, CELLS)
+    cells = _cells(machine.kinematics)
     rng = np.random.default_rng([request.seed, int(machine.sha256[:8] or "0", 16)])
     discs = _discs(machine.kinematics, cells, rng)
     draw = _Drawer(machine, request, limits)
@@ -112,27 +97,30 @@ def _tuned_hz(machine: Machine) -> FloatArray:
 CELL_HALF_MM = np.array([0.5 * (LINE_MM + 5.0 + 3.0 + 5 * PITCH_MM), 0.5 * (LINE_MM + 5.0)])
 
 
-def _cells(kinematics: Kinematics, most: int) -> list[_Box]:
-    """Place cells: one in the middle, others as far out and apart as the bed and a scanner allow."""
+def _corners(middles: FloatArray, half: FloatArray) -> FloatArray:
+    """Return the corners (..., 4, 2) of rectangles around middles (..., 2), with half sides (2,), mm."""
+    return middles[..., None, :] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+
+def _cells(kinematics: Kinematics) -> FloatArray:
+    """Place the middles of cells (n, 2) mm: one on the bed's, others as far out and apart as bed and scanner allow."""
     centre = np.array(kinematics.centre_mm)
-    chosen = [_Box(centre, CELL_HALF_MM)]
-    if not np.all(_inside(kinematics, chosen[0].corners)):
+    if not np.all(_inside(kinematics, _corners(centre, CELL_HALF_MM))):
         raise LimitsError("The bed is too small for the page: its strokes need 55 x 30 mm in the middle of the bed.")
     angles = np.radians(np.arange(0, 360, 15))
     radii = np.arange(30.0, LARGEST_MM, 4.0)
     ring = centre + (radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)).reshape(-1, 2)
     room = 0.5 * LARGEST_MM - MARGIN_MM - 2 * DISC_MM - SKIRT_MM
-    usable = [
-        box
-        for at in ring
-        if np.all(np.abs((box := _Box(at, CELL_HALF_MM)).corners - centre) < room)
-        and np.all(_inside(kinematics, box.corners, DISC_MM))
-    ]
-    while usable and len(chosen) < most:
-        usable = [box for box in usable if not any(box.meets(each, MARGIN_MM) for each in chosen)]
-        if usable:
-            distance = [min(float(np.linalg.norm(box.middle - each.middle)) for each in chosen) for box in usable]
-            chosen.append(usable[int(np.argmax(distance))])
+    corners = _corners(ring, CELL_HALF_MM)
+    inside = _inside(kinematics, corners.reshape(-1, 2), DISC_MM).reshape(-1, 4)
+    usable = ring[np.all(inside & np.all(np.abs(corners - centre) < room, axis=2), axis=1)]
+    chosen = centre[None]
+    while len(chosen) < CELLS:
+        usable = usable[np.any(np.abs(usable - chosen[-1]) >= 2 * CELL_HALF_MM + MARGIN_MM, axis=1)]
+        if not len(usable):
+            break
+        distance = np.linalg.norm(usable[:, None] - chosen, axis=2).min(axis=1)
+        chosen = np.vstack([chosen, usable[int(np.argmax(distance))]])
     return chosen
 
 
@@ -140,15 +128,14 @@ def _inside(kinematics: Kinematics, xy: FloatArray, margin: float = 0.0) -> Bool
     return kinematics.contains(xy, -(margin + SKIRT_MM))
 
 
-def _discs(kinematics: Kinematics, cells: Sequence[_Box], rng: np.random.Generator) -> FloatArray:
+def _discs(kinematics: Kinematics, cells: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Scatter discs (n, 2) mm around and between the cells, far from each other."""
-    corners = np.concatenate([cell.corners for cell in cells])
+    corners = _corners(cells, CELL_HALF_MM).reshape(-1, 2)
     outward = MARGIN_MM + 2 * DISC_MM
     low, high = corners.min(axis=0) - outward, corners.max(axis=0) + outward
     points = rng.uniform(low, high, (4000, 2))
-    half = np.full(2, DISC_MM)
-    free = [not any(_Box(at, half).meets(cell, MARGIN_MM - 1.0) for cell in cells) for at in points]
-    points = np.round(points[np.array(free) & _inside(kinematics, points, DISC_MM)], 2)
+    apart = np.any(np.abs(points[:, None] - cells) >= CELL_HALF_MM + DISC_MM + MARGIN_MM - 1.0, axis=2)
+    points = np.round(points[np.all(apart, axis=1) & _inside(kinematics, points, DISC_MM)], 2)
     chosen = [points[int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]] if len(points) else []
     while len(chosen) < DISCS and len(points):
         distance = np.min([np.linalg.norm(points - each, axis=1) for each in chosen], axis=0)
@@ -183,7 +170,9 @@ class _Drawer:
         xy: FloatArray,
         speed: FloatArray | float,
         flow: FloatArray | float = 1.0,
+        at: FloatArray | None = None,
     ) -> None:
+        """Add a drawing along xy (n, 2) mm that is `at` its first point, or where it is said to be."""
         limits = self.limits if kind == STROKE else self.slow_limits
         xy = np.rint(xy * XYZ_COUNTS) / XYZ_COUNTS
         xyz = np.column_stack([xy, np.full(len(xy), self.request.height_mm)])
@@ -194,16 +183,16 @@ class _Drawer:
         rounding = 0.0
         if kind == STROKE:
             rounding = rounding_share(motion, self.machine.kinematics, self.machine.steps.per_motor, MODES_HZ)
-        middle = xy.mean(axis=0) if kind == DISC else xy[0]
-        at = (round(float(middle[0]), 4), round(float(middle[1]), 4), self.request.height_mm)
-        self.experiments.append(Experiment(f"ffcomp-{kind}-{number}", kind, place, at, motion, rounding))
+        x, y = (xy[0] if at is None else at).tolist()
+        where = (round(x, 4), round(y, 4), self.request.height_mm)
+        self.experiments.append(Experiment(f"ffcomp-{kind}-{number}", kind, place, where, motion, rounding))
 
-    def skirt(self, cells: Sequence[_Box], discs: FloatArray) -> None:
+    def skirt(self, cells: FloatArray, discs: FloatArray) -> None:
         """Prime the nozzle around everything that is measured."""
-        points = np.concatenate([*(cell.corners for cell in cells), discs + DISC_MM, discs - DISC_MM])
+        points = np.concatenate([*_corners(cells, CELL_HALF_MM), discs + DISC_MM, discs - DISC_MM])
         middle, kinematics = 0.5 * (points.min(axis=0) + points.max(axis=0)), self.machine.kinematics
         half = 0.5 * np.ptp(points, axis=0) + SKIRT_MM - 1.0
-        box = _Box(middle, half).corners
+        box = _corners(middle, half)
         if not np.all(kinematics.contains(box)):  # a round bed: around the outermost point
             radius = np.linalg.norm(points - kinematics.centre_mm, axis=1).max() + 1.0
             turn = np.radians(np.arange(0, 360, 5))
@@ -221,22 +210,15 @@ class _Drawer:
         radius = np.concatenate([np.full(37, outer), outer * (1 - inward / inward[-1])])
         circle = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         keep = np.append(True, np.linalg.norm(np.diff(circle, axis=0), axis=1) > 0.02)
-        xy = at + circle[keep]
-        self.add(DISC, number, 0, xy, SLOW_MM_PER_S)
-        last = self.experiments[-1]
-        x, y = at.tolist()
-        self.experiments[-1] = replace(last, position_mm=(x, y, self.request.height_mm))
+        self.add(DISC, number, 0, at + circle[keep], SLOW_MM_PER_S, at=at)
 
-    def cell(self, number: int, cell: _Box) -> None:
+    def cell(self, number: int, middle: FloatArray) -> None:
         """Draw five strokes that ring along x, and five that ring along y."""
-        left = cell.middle - cell.half
+        left, (x, y) = middle - CELL_HALF_MM, np.eye(2)
         for i in range(STROKES):
-            corner = left + np.array([3.2 + i * PITCH_MM, 0.0])
-            self.stroke(number, i, corner, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
-        begin = left + np.array([3.2 + STROKES * PITCH_MM + 1.0, 3.2])
+            self.stroke(number, i, left + np.array([3.2 + i * PITCH_MM, 0.0]), x, y)
         for i in range(STROKES):
-            corner = begin + np.array([0.0, i * PITCH_MM])
-            self.stroke(number, i, corner, np.array([0.0, 1.0]), np.array([1.0, 0.0]))
+            self.stroke(number, i, left + np.array([4.2 + STROKES * PITCH_MM, 3.2 + i * PITCH_MM]), y, x)
 
     def stroke(self, place: int, i: int, corner: FloatArray, excited: FloatArray, along: FloatArray) -> None:
         """Draw a zigzag that ends at the line's foot, its line, and the slow line next to it."""
