@@ -225,8 +225,18 @@ def assumed_modes(machine: Machine) -> str | None:
     part = "" if len(assumed) == len(keys) else f" in part ({', '.join(assumed)})"
     return (
         f"The modes of {name} are assumed{part}, not measured, so the effect on your printer is unknown. "
-        "Measure them with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
+        f"Measure them with {way_to_measure(machine)}, then `ffcomp identify fit`."
     )
+
+
+def way_to_measure(machine: Machine, options: str = "") -> str:
+    """Return the command whose captures `ffcomp identify fit` reads: the firmware's own test where it suffices.
+
+    options : of the command of ffcomp
+    """
+    if machine.flavor == "klipper" and machine.kinematics.model_reach_mm == 0.0:  # a straight axis is alike everywhere
+        return "`TEST_RESONANCES AXIS=X OUTPUT=raw_data` (and Y) on the printer"
+    return f"`ffcomp record plan --for identify{options}`"
 
 
 def sources(machine: Machine) -> dict[str, str]:

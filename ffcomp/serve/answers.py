@@ -15,7 +15,7 @@ VERBS = (  # "ffcomp leaves 2 µm" is no command
     "check|compare|compensate|diagnose|estimate|frf|gap|identify|log|machines|record|restore|serve|show|simulate|warmup"
 )
 COMMAND = re.compile(rf"\bffcomp (?:{VERBS})\b|(?<![\w-])--[a-z]")  # text that only the command line understands
-MEASURES = re.compile(r"^Measure first: `ffcomp ")
+MEASURES = re.compile(r"^Measure first: ")
 MEASURE = "Measure the machine: see Know my machine."
 FIGURE = re.compile(r'src="data:image/svg\+xml;base64,([A-Za-z0-9+/=]+)"')
 

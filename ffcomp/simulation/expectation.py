@@ -26,7 +26,7 @@ from ffcomp.simulation.linear import KEEP_EVERY, STEP_S, SUBSTEPS, LinearPlaybac
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.file import machine_paths
-from models.machine import Machine, assumed_modes, with_values
+from models.machine import Machine, assumed_modes, way_to_measure, with_values
 from models.schema.documents import DEFAULT_UNCERTAINTY
 
 PRINTERS = 20
@@ -312,7 +312,7 @@ def _measure_first(machine: Machine) -> str:
     options = f"-m {shlex.quote(paths.get(machine.path, machine.path) or machine.name)}"
     options += f" --flavor {machine.flavor}" if machine.flavor else ""
     return (
-        f"Measure first: `ffcomp record plan --for identify {options} -o moves.gcode`, then `ffcomp identify fit`; "
+        f"Measure first: {way_to_measure(machine, f' {options} -o moves.gcode')}, then `ffcomp identify fit`; "
         f"without a sensor `ffcomp record plan --for scan {options} -o page.gcode`, then `ffcomp identify scan`."
     )
 

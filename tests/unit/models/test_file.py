@@ -15,7 +15,7 @@ from ffcomp.inverse.settings import settings_for
 from models.errors import MachineFileError
 from models.file import LIBRARY, entries, load_machine
 from models.kinds import delta_vibration
-from models.machine import ASSUMED, Machine, assumed_modes
+from models.machine import ASSUMED, Machine, assumed_modes, way_to_measure
 
 LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
 
@@ -266,3 +266,16 @@ def test_measured_axes_are_told_from_assumed_ones(voron: Machine) -> None:
     assert half is not None
     assert half.startswith("The modes of voron-300 are assumed in part (axes.y.frequency_hz), not measured")
     assert assumed_modes(with_origin(voron, x=measured, y=measured)) is None
+
+
+@pytest.mark.parametrize(
+    ("machine", "flavor", "test"),
+    [
+        ("voron-300", "klipper", "TEST_RESONANCES"),
+        ("ender-3", "marlin", "ffcomp record plan"),
+        ("kossel", "klipper", "ffcomp record plan"),
+    ],
+)
+def test_modes_are_measured_with_what_the_firmware_offers(machine: str, flavor: str, test: str) -> None:
+    """Klipper's own test is enough for straight axes; a delta's modes depend on the position."""
+    assert way_to_measure(replace(load_machine(machine), flavor=flavor)).startswith(f"`{test} ")
