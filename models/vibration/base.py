@@ -303,8 +303,13 @@ def to_control(
     ValueError
         For the acceleration with an ideal drive and a damped belt: it follows the command's slope, so no state space
         of the command has it.
+    ImportError
+        Without python-control.
     """
-    import control
+    try:
+        import control
+    except ImportError as error:
+        raise ImportError("to_control() needs python-control: pip install 'ffcomp[control]'.") from error
 
     a, slope, c = plant.a[0], plant.b_slope[0], plant.carriage
     b = plant.b_command[0] + a @ slope
