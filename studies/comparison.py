@@ -46,7 +46,7 @@ CASES = (
 MISMATCHES, SEEDS = (0.02, 0.05, 0.10), 20
 JUDGED_S, SOUGHT_S, OFF_S = 40.0, 20.0, 20.0  # of print time: every method, the searches, printers that are off
 PIECE_S = 5.0
-WHOLE = ("ringing_tower",)  # judged whole too, with the best rival: what the slices are worth
+WHOLE = ("ringing_tower", "lobed_vase", "far_star")  # the few best are judged on all of it: what pages quote
 BOUND_UM = 25.0  # of the 99th percentile, where the speed for equal quality is sought
 SMOOTHED_HZ = 100.0
 
@@ -84,7 +84,7 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     tried, others = pairs(machine, few)
     _said(f"{path.stem}: {len(tried)} methods are set", began)
     rows = [_row(pair, slices, machine) for pair in tried]
-    ours = [_own_row(method, slices, machine) for method in inversions(machine)]
+    ours = [{"label": method.label} | _judged(method, slices, machine) for method in inversions(machine)]
     none = _judged(every.none(), slices, machine)
     _said("judged", began)
     best = min(range(len(tried)), key=lambda k: rows[k]["best"]["rms_um"])
@@ -103,7 +103,6 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
         "best_xy": rows[simple]["label"],
         "best_xy_um": rows[simple]["best"]["rms_um"],
         "best_calibrated_um": min(row["calibrated"]["rms_um"] for row in rows),
-        "margin": rows[best]["best"]["rms_um"] / ours[-1]["rms_um"],
         "floor_um": floor_um(slices),
     }
     chosen = [tried[best].best]
@@ -117,7 +116,11 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     p99 = {chosen[0].name: rows[best]["best"]["p99_um"], every.COMPENSATED: ours[-1]["p99_um"]}
     found["quality"] = _quality(own, chosen[:1], p99)
     _said("quality", began)
-    found["whole"] = _whole(own, chosen) if whole else []
+    few_best = {"none": every.none(), "best_xy": tried[simple].best, "best": tried[best].best}
+    few_best["ours"] = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
+    judged = [printed.whole()] if whole else slices
+    quoted = {key: _judged(method, judged, machine) for key, method in few_best.items()}
+    found |= {"quoted": quoted, "margin": quoted["best"]["rms_um"] / quoted["ours"]["rms_um"], "whole": whole}
     found["computing_s"] = time.process_time() - began
     _said("all", began)
     return found
@@ -135,10 +138,6 @@ def _row(pair: Pair, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, 
         "best": _judged(pair.best, slices, plant),
         "tuning": pair.best.tuning.partition(": ")[0],
     }
-
-
-def _own_row(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, Any]:
-    return {"label": method.label} | _judged(method, slices, plant)
 
 
 def _judged(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, Any]:
@@ -172,13 +171,6 @@ def _executed(
 
 
 # ---- the few best --------------------------------------------------------------------------------
-
-
-def _whole(own: Case, methods: Sequence[TunedMethod]) -> list[dict[str, Any]]:
-    """Judge the whole print."""
-    all_of_it = [own.printed.whole()]
-    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
-    return [_own_row(method, all_of_it, own.machine) for method in (*methods, ours)]
 
 
 def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]:

@@ -201,6 +201,18 @@ def test_the_readme_has_the_same_numbers(print_: str) -> None:
     assert all(map(rounded, told, compared(print_))), (told, compared(print_))
 
 
+def test_one_print_has_one_number_on_every_page() -> None:
+    """The range that explains how it works; and no page of the accuracy has contour errors of its own."""
+    page = (ROOT / "docs" / "explanation" / "how_it_works.md").read_text(encoding="utf-8").replace("\n", " ")
+    told = re.search(r"leaves ([\d.]+) to ([\d.]+) µm rms, ffcomp ([\d.]+) to ([\d.]+)\.", page)
+    assert told
+    _, shapers, ours = zip(*map(compared, PRINTS[:3]), strict=True)
+    for least, most, measured in ((told[1], told[2], shapers), (told[3], told[4], ours)):
+        assert rounded(float(least), min(measured)) and rounded(float(most), max(measured))
+    accuracy = (ROOT / "docs" / "ACCURACY.md").read_text(encoding="utf-8")
+    assert not re.search(r"^\| print .*contour", accuracy, flags=re.MULTILINE)
+
+
 def test_the_readmes_printers_that_are_off() -> None:
     line = next(line for line in README.splitlines() if "10 % off" in line)
     told = [float(cell) for cell in re.findall(r"\d+(?:\.\d+)?", line.split("|", 3)[3])[:2]]
