@@ -60,6 +60,15 @@ def test_a_rough_mode_is_written_only_if_it_is_asked_for(tmp_path: Path) -> None
     assert code == 0 and load_machine(output).vibration.parameters().names
 
 
+def test_a_deltas_file_is_not_made_from_an_unclear_mode(tmp_path: Path) -> None:
+    """A drive's own peak beside the belts' one was taken for it: the belts came out five times too stiff."""
+    rough = PEAK * np.exp(1.0 * np.random.default_rng(0).normal(size=len(F)))
+    path = spectra(tmp_path / "resonances_x_1.csv", "psd_x,psd_y,psd_z,psd_xyz", rough, F + 1, F + 1, rough)
+    output = tmp_path / "mine.toml"
+    code, said = call(path, "-m", "kossel", "-o", output)
+    assert code == 5 and "x is not used for the machine file" in said and not output.exists()
+
+
 def test_the_highest_peak_of_many_is_where_it_is(tmp_path: Path) -> None:
     """With other modes beside it, one mode of the whole band lay a tenth off real printers' peaks."""
     response = np.zeros(len(F), dtype=complex)
