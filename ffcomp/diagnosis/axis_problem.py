@@ -27,20 +27,30 @@ from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_
 from ffcomp.diagnosis.noise import SIMULATION_ERROR
 from ffcomp.diagnosis.observations import quick_length
 from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Observation, Parameter, Problem
-from ffcomp.identification.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
+from ffcomp.identification.axis_shots import (
+    Shots,
+    band_of,
+    load_began,
+    noise_sd,
+    scales_of,
+    shots_of,
+    speed_of,
+    windows,
+)
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
 from models.kinds import driven_axis
 from models.machine import Machine, with_values
 from models.printer.kernels.one_axis import AXIS_PARAMETERS
-from models.printer.one_axis import axis_parameters, simulate_axis
+from models.printer.one_axis import axis_parameters, simulate_axis, simulate_load
 from models.vibration.driven_axis import DrivenAxis
 
-OFFSET = "axis.offset_n"
+OFFSET, LATENESS = "axis.offset_n", "axis.drive.delay_s"
 FORCE_OFFSET = 0.3  # of the force: a constant one, or the error of a sensor's zero, which no file states
 MOST_LINES = 6  # of a force that repeats along an axis
 MOST_PITCHES = 4  # where a search for a ripple begins
+HELD = 0.5  # of a sample: a force that a controller holds acts so much later than a straight line between samples
 KEPT = 6  # motions that are held
 HEAVY_KG = 1e9  # of a mass that forces leave where it is
 STEP_COST = 2.0  # of a printer's steps: these take no lanes
@@ -76,9 +86,12 @@ class AxisProblem(Problem):
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
         scales = replace(scales_of(machine, self.shots), highest_hz=self.band_hz[1])
         self.parameters = tuple(machine_parameters(machine))
-        if not self.commanded:  # the zero of a measured force may be off
-            sd = FORCE_OFFSET * scales.force_n
-            self.parameters += (Parameter(OFFSET, driven_axis(machine).offset_n, sd),)
+        if not self.commanded:  # the zero of a measured force may be off, and no file states when in a sample it acts
+            axis, late = driven_axis(machine), HELD / min(run.sample_rate_hz for run in runs)
+            self.parameters += (
+                Parameter(OFFSET, axis.offset_n, FORCE_OFFSET * scales.force_n),
+                Parameter(LATENESS, axis.drive.delay_s, late),
+            )
         signals = sorted({name for run in runs for name in run.signals})
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
         lines: list[float] = []
@@ -149,16 +162,19 @@ class AxisProblem(Problem):
 
     def balance(self) -> ForceBalance | None:
         """Return the same recordings by the force that their motion needs; None where that is not known."""
-        return ForceBalance(self) if self._forces_known and all(one.length for one in self.shots) else None
+        known = self.forces_known and not self.forces and all(one.length for one in self.shots)
+        return ForceBalance(self) if known else None
 
     @property
-    def _forces_known(self) -> bool:
-        whole = all(bool(np.isfinite(place).all()) for place in self.places)
-        return whole and not driven_axis(self.machine).load_mass_kg
+    def forces_known(self) -> bool:
+        """Whether the drive's force is known, and where each mass is at every sample."""
+        needed = ("pos_q", "pos_motor") if driven_axis(self.machine).load_mass_kg else ()
+        places = [*self.places, *(one.run.position.get(s, np.full(1, np.nan)) for one in self.shots for s in needed)]
+        return not self.commanded and all(bool(np.isfinite(place).all()) for place in places)
 
     def by_force(self) -> AxisProblem:
         """Return the problem of the forces, where the drive's is known."""
-        return ForceBalance(self) if self._forces_known and not self.commanded and not self.forces else self
+        return ForceBalance(self) if self.forces_known and not self.forces else self
 
     def moved(self, i: int) -> Mapping[str, FloatArray]:
         """Return position, speed, and the drive's force or the acceleration of a window, (n, m) each."""
@@ -189,41 +205,52 @@ class ForceBalance(AxisProblem):
 
     def __init__(self, problem: AxisProblem) -> None:
         self.__dict__.update(problem.__dict__)
-        axis = driven_axis(self.machine)
-        self._moved = [np.gradient(1e-3 * one.speed, 1 / one.run.sample_rate_hz) for one in self.shots]
-        forces = [_acting(axis, axis.force_of(one.run.drive, one.run.supply_v)) for one in self.shots]
-        self.shots = [
-            replace(
-                one,
-                run=replace(one.run, acceleration={}, position={}, other={"force": force}),
-                length=1,
-                begin=np.column_stack([_way(one.run), one.speed] * 2),
-                began={},
-            )
-            for one, force in zip(self.shots, forces, strict=True)
-        ]
-        high_hz = band_of([replace(one, length=0) for one in self.shots])[1]
-        self.band_hz = (0.0, high_hz)  # a force that hardly changes within a window is one too
+        axis, shots = driven_axis(self.machine), problem.shots
+        self._driven = [replace(one, length=1, begin=_states(one), began={}) for one in shots]
+        self._accelerations = [np.gradient(1e-3 * one.begin[:, 3], 1 / one.run.sample_rate_hz) for one in self._driven]
+        self.shots = [self._compared(one, axis) for one in shots]
+        self.band_hz = (0.0, band_of([replace(one, length=0) for one in self.shots])[1])  # a constant force is one too
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
-        self.least_density, self._kept = {}, {}
+        self.least_density, self._kept = self._least_density(["pos_q"]) if axis.load_mass_kg else {}, {}
+
+    def _compared(self, one: Shots, axis: DrivenAxis) -> Shots:
+        """Return the drive's force, and the place of a load from its motor's, as signals."""
+        force = axis.force_of(one.run.drive, one.run.supply_v)
+        run = replace(one.run, acceleration={}, position={}, other={"force": force})
+        if not axis.load_mass_kg:
+            return replace(one, run=run, began={})
+        twist = one.run.position["pos_q"] - one.run.position["pos_motor"]
+        apart = float(np.mean(twist))  # of two encoders' zeros
+        run = replace(run, position={"pos_q": twist - apart})
+        begin = one.begin - np.array([apart, 0.0, 0.0, 0.0])
+        return replace(one, run=run, begin=begin, began={"pos_q": load_began(axis, one)})
 
     def _read(self, machine: Machine, coarse: bool, run: int) -> dict[str, FloatArray]:
-        """Return the drive's force F̂ that the measured motion of a run needs.
+        """Return the drive's force F̂ that the measured motion of a run needs, and where that takes a load.
 
         Friction in proportion μ to the load grows with that force itself: F̂ = F₀ + μ t |F̂|, where t is the direction
         of motion and F₀ the force that everything else needs. The measured force must not stand on this side: with it,
         a share of one would explain any force.
         """
-        share = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("load_share")])
-        one = self.shots[run]
+        share, delay_s = (float(axis_parameters(machine)[0][AXIS_PARAMETERS.index(x)]) for x in ("load_share", "delay"))
+        one, drive = self._driven[run], driven_axis(machine).drive
         needed = self._needed(machine, one, run, coarse)
-        if not share:
-            return {"force": needed}
-        force = np.abs(driven_axis(machine).force_of(one.run.drive, one.run.supply_v))
-        idle = replace(one, run=replace(one.run, drive=np.zeros_like(one.run.drive)))
-        without = self._needed(machine, idle, run, coarse)
-        direction = np.clip((needed - without) / np.maximum(force, 1e-12), -share, share)
-        return {"force": without / (1 - direction * np.sign(without))}
+        if share:
+            force = np.abs(driven_axis(machine).force_of(one.run.drive, one.run.supply_v))
+            idle = replace(one, run=replace(one.run, drive=np.zeros_like(one.run.drive)))
+            without = self._needed(machine, idle, run, coarse)
+            direction = np.clip((needed - without) / np.maximum(force, 1e-12), -share, share)
+            needed = without / (1 - direction * np.sign(without))
+        late = delay_s * one.run.sample_rate_hz + (HELD if drive.hold == "steps" else 0.0)
+        k = np.arange(len(needed))
+        signals = {"force": np.interp(k + late, k, needed)}  # what acts later was recorded now
+        compared = self.shots[run]
+        if "pos_q" in compared.run.position:
+            motor, dt_s = one.run.position["pos_motor"], 1 / one.run.sample_rate_hz
+            motion = simulate_load(machine, motor, dt_s, compared.length, compared.begin)
+            self.work.add(STEP_COST * motion.steps)
+            signals["pos_q"] = motion.position_mm - motor
+        return signals
 
     def _needed(self, machine: Machine, one: Shots, run: int, coarse: bool) -> FloatArray:
         """Return the force, (n,) N, that the motion needs while the drive presses as in these shots.
@@ -234,12 +261,27 @@ class ForceBalance(AxisProblem):
         motion = one.simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
         self.work.add(STEP_COST * motion.steps)
         mass = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("mass")])
-        return mass * self._moved[run] + motion.force - HEAVY_KG * motion.acceleration
+        return mass * self._accelerations[run] + motion.force - HEAVY_KG * motion.motor_acceleration
 
 
-def _acting(axis: DrivenAxis, force: FloatArray) -> FloatArray:
-    """Return what acts at each sample, (n,): of a force that is held the mean of before and after."""
-    return 0.5 * (force + np.concatenate([force[:1], force[:-1]])) if axis.drive.hold == "steps" else force
+def axis_problem(machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> AxisProblem:
+    """Return the problem of an axis and its runs; `names` : the effects that are looked for.
+
+    Where the motions of a motor and of its load are both known, so is the motion that each sees of the other: the force
+    that the one needs, and the way of the other on its coupling, are compared by themselves. Simulated together, the
+    unknown friction of the motor would hide the load.
+    """
+    problem = AxisProblem(machine, runs, names)
+    loaded = driven_axis(machine).load_mass_kg and driven_axis(machine).free
+    return ForceBalance(problem) if loaded and problem.forces_known else problem
+
+
+def _states(one: Shots) -> FloatArray:
+    """Return where the last mass and the first one are at every sample, and how fast: (n, 4) mm and mm/s."""
+    place = _way(one.run)
+    motor = one.run.position.get("pos_motor", place)
+    motor_speed = one.speed if motor is place else speed_of(motor, one.run.sample_rate_hz)
+    return np.column_stack([place, one.speed, motor, motor_speed])
 
 
 def _way(run: AxisRun) -> FloatArray:

@@ -27,8 +27,8 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
     sentences = [*worse_elsewhere(result), *said]
     if result.forces:
         sentences.append(
-            "The drive's force is compared with the one that the measured motion needs: simulated from its force, this "
-            "axis is further off than one that stands still, because the file lacks the load that its drive holds."
+            "The drive's force is compared with the one that the measured motion needs, and the place of a load with "
+            "the one to which its motor takes it: in a motion simulated from the force, one error would hide the other."
         )
     sentences += other_motions(result)
     if result.cut_short:

@@ -112,7 +112,7 @@ def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
     """Choose where the simulation of each run restarts; one length for all."""
     checked(machine, runs)
     mean = [_mean(runs, i) for i in range(len(runs))]
-    speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
+    speeds = [speed_of(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
     held = not driven_axis(machine).free or (HOLDING & machine.effects.keys() and _pulled_back(mean, speeds))
     needed = not held and any(run.position for run in runs)
     seconds = max(_shot_s(runs, speeds), PERIODS * _period_s(driven_axis(machine))) if needed else 0.0
@@ -164,6 +164,14 @@ def _ringing(axis: DrivenAxis, t: FloatArray, name: str) -> FloatArray:
     return np.asarray(share / axis.moved_kg * shape)
 
 
+def load_began(axis: DrivenAxis, one: Shots) -> FloatArray:
+    """Return what an error of where a load begins does to its place while its motor moves as measured: (length, 2)."""
+    t, mass = np.arange(one.length) / one.run.sample_rate_hz, float(axis.load_mass_kg or 1.0)
+    omega = np.sqrt((axis.coupling_stiffness_n_per_m or 0.0) / mass)
+    decay = np.exp(-0.5 * axis.coupling_damping_n_s_per_m / mass * t)
+    return np.asarray(decay[:, None] * np.column_stack([np.cos(omega * t), np.sin(omega * t)]))
+
+
 def _by_shots(columns: Sequence[NDArray[Any]], length: int) -> NDArray[Any]:
     """Return signals as rows of shots: (shots, signals * length)."""
     return np.hstack([x.reshape(-1, length) for x in columns])
@@ -198,7 +206,7 @@ def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Sh
     for column, name in ((0, "pos_q"), (2, "pos_motor")):
         if name in mean.position:
             place = mean.position[name]
-            begin[:, column], begin[:, column + 1] = place[at], _speed(place, rate)[at]
+            begin[:, column], begin[:, column + 1] = place[at], speed_of(place, rate)[at]
             if not (length or run.by_force) and (rested := _rested(run.drive)) >= LEAST_REST:
                 begin[0, column : column + 2] = _resting(run.drive[0], place[:rested]), 0.0
     if not run.position:  # who measures no position begins at rest
@@ -235,7 +243,7 @@ def _bridged(x: FloatArray) -> FloatArray:
     return x if known.all() else np.interp(t, t[known], x[known])
 
 
-def _speed(place: FloatArray, rate: float) -> FloatArray:
+def speed_of(place: FloatArray, rate: float) -> FloatArray:
     """Return the speed, (n,) mm/s: the slope over as many samples as the noise needs and the motion allows.
 
     The span grows as long as what it changes is explained by the noise of the positions (Lepski's rule).

@@ -346,7 +346,7 @@ COMMAND_DELAY = _drive(
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
     },
     of=ANY,
-    terms=lambda values, _: {"delay": values["delay_s"]},
+    terms=lambda values, printer: {"delay": values["delay_s"] + printer.get("delay", 0.0)},
     remedy="Nothing to repair: the firmware or drives act late{where}. Once in the file, it is compensated.",
     axis_words=AxisWords(
         title="A delayed drive",

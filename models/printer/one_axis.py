@@ -24,6 +24,7 @@ STEEPEST = 2.0  # the same, where a step can be no shorter: friction then falls 
 STABLE = 1.5  # step times the decay rate by friction; the method is stable up to 2.8
 MOST_SUBSTEPS = 60
 MOST_FOR_FRICTION = 16  # of them for dry friction of what is light: more would resolve speeds far below its own
+_NOTHING = np.empty(0)
 NEUTRAL = {"fading_power": 1.0, "creep": 1.0, "presliding": 1.0}  # values of absent effects that are not zero
 
 
@@ -37,6 +38,7 @@ class AxisMotion:
     acceleration: FloatArray  # (n,) m/s², of the load; without one, of the mass
     speed: FloatArray  # (n,) mm/s, of the same
     force: FloatArray  # (n,) N, of the drive
+    motor_acceleration: FloatArray  # (n,) m/s², of the mass
     steps: int = 0  # of the integration
 
     def sensed(self, machine: Machine) -> dict[str, FloatArray]:
@@ -93,20 +95,62 @@ def simulate_axis(
     """
     (p, ripples), axis = axis_parameters(machine), driven_axis(machine)
     samples = np.ascontiguousarray(axis.force_of(drive, supply_v) if axis.by_force else 1e-3 * drive, float)
-    rest = 0.0 if axis.by_force else float(samples[0])
+    held, extra_n = axis.by_force and axis.drive.hold == "steps", np.empty(0) if extra is None else extra
+    return _integrated(p, ripples, samples, dt_s, shot, begin, substeps, coarse, held, extra_n)
+
+
+def simulate_load(machine: Machine, motor_mm: FloatArray, dt_s: float, shot: int, begin: FloatArray) -> AxisMotion:
+    """Simulate the load of an axis alone, on a coupling that a motor moves: as an axis that a position drives.
+
+    Parameters
+    ----------
+    motor_mm : (n,) mm, where the motor is: a cubic spline between samples.
+    shot, begin : see `simulate_axis`.
+
+    Raises
+    ------
+    ValueError
+        If the motion diverges, or an effect is incomplete.
+    """
+    axis = _by_name(axis_parameters(machine)[0])
+    spring = {"mass": axis["load"], "stiffness": axis["coupling"], "drive_damping": axis["coupling_damping"]}
+    if not axis["play_at_drive"]:
+        spring |= {name: axis[name] for name in ("half_backlash", "landing")}
+    if not axis["hardens_at_drive"]:
+        spring |= {name: axis[name] for name in ("cubic", "quintic")}
+    p = np.array([(NEUTRAL | {"drive_limit": np.inf} | spring).get(name, 0.0) for name in AXIS_PARAMETERS])
+    return _integrated(p, np.empty((0, 3)), 1e-3 * motor_mm, dt_s, shot, begin)
+
+
+def _integrated(
+    p: FloatArray,
+    ripples: FloatArray,
+    samples: FloatArray,
+    dt_s: float,
+    shot: int,
+    begin: FloatArray | None,
+    substeps: int = 0,
+    coarse: bool = False,
+    held: bool = False,
+    extra: FloatArray = _NOTHING,
+) -> AxisMotion:
+    by_force = bool(p[AXIS_PARAMETERS.index("by_force")])
+    rest = 0.0 if by_force else float(samples[0])
     first = np.array([[rest, 0.0, rest, 0.0]]) if begin is None else 1e-3 * begin
     loudest = load_of(p, samples)
     steps = substeps or substeps_of(p, dt_s, COARSE_STEP_RAD if coarse else STEP_RAD, loudest)
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
-    slope = np.empty(0) if axis.by_force else slopes(np.diff(samples))
-    beside = np.empty(0) if extra is None else np.ascontiguousarray(extra, float)
-    held = axis.by_force and axis.drive.hold == "steps"
-    inputs, gentler = AxisInput(samples, slope, beside, dt_s, held), with_stable_friction(p, dt_s / steps, loudest)
-    out = integrate_axis(inputs, steps, shot or len(drive) + 1, np.ascontiguousarray(first), gentler, ripples)
+    slope = np.empty(0) if by_force else slopes(np.diff(samples))
+    inputs = AxisInput(np.ascontiguousarray(samples, float), slope, np.ascontiguousarray(extra, float), dt_s, held)
+    gentler = with_stable_friction(p, dt_s / steps, loudest)
+    out = integrate_axis(inputs, steps, shot or len(samples) + 1, np.ascontiguousarray(first), gentler, ripples)
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the motion of the axis diverges.")
-    t = np.asarray(dt_s * np.arange(len(drive)), dtype=np.float64)
-    return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2], 1e3 * out[:, 3], out[:, 4], steps * len(drive))
+    t = np.asarray(dt_s * np.arange(len(samples)), dtype=np.float64)
+    motor, last, acceleration, speed, force, motor_acceleration = out.T
+    return AxisMotion(
+        t, 1e3 * last, 1e3 * motor, acceleration, 1e3 * speed, force, motor_acceleration, steps * len(samples)
+    )
 
 
 def _by_name(p: FloatArray) -> dict[str, float]:

@@ -118,6 +118,7 @@ class DriveTable(Table):
     current_limit_a: float | None = Field(None, ge=1e-6, le=1e6)
     force_limit_n: float | None = Field(None, ge=1e-12, le=1e12)
     hold: Hold = "straight"
+    delay_s: float = Field(0.0, ge=-0.1, le=0.1)
 
 
 class DrivenAxisTable(Table):

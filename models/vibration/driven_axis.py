@@ -53,6 +53,7 @@ class Drive:
     current_limit_a: float | None = None
     force_limit_n: float | None = None  # of any drive
     hold: Hold = "straight"  # between samples of a force, a current, a voltage or a duty
+    delay_s: float = 0.0  # by which it acts later than its recording says; only effects and diagnosis follow it
 
     @property
     def force_per_volt(self) -> float:
@@ -257,5 +258,6 @@ class DrivenAxis(VibrationModel):
             "coupling": self.coupling_stiffness_n_per_m or 0.0,
             "coupling_damping": self.coupling_damping_n_s_per_m,
             "by_force": self.by_force,
+            "delay": self.drive.delay_s,
             "motor_k": np.full(3, self.last_stiffness),
         }

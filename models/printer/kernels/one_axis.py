@@ -244,11 +244,11 @@ def integrate_axis(
 
     Returns
     -------
-    (n, 5) position of the first mass and of the last one, m; the last one's acceleration, m/s², and speed, m/s; the
-    drive's force, N.
+    (n, 6) position of the first mass and of the last one, m; the last one's acceleration, m/s², and speed, m/s; the
+    drive's force, N; the first mass' acceleration, m/s².
     """
     n, x = len(inputs.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    out, loaded = np.empty((n, 5)), p[LOAD] > 0.0
+    out, loaded = np.empty((n, 6)), p[LOAD] > 0.0
     for i in range(n):
         value, step = _driven_by(inputs, i, i, p)
         if i % shot == 0 and i // shot < len(begin):
@@ -259,8 +259,9 @@ def integrate_axis(
         out[i, 2] = rate[V_LOAD] if loaded else rate[V]
         out[i, 3] = x[V_LOAD] if loaded else x[V]
         out[i, 4] = _drive(x[Q], x[V], value, step / inputs.dt, p)[0]
+        out[i, 5] = rate[V]
         if shot == 1 and i < n - 1:
-            x = _remembered(x, 0.5 * (begin[i, 1] + begin[i + 1, 1]), inputs.dt, p)
+            x = _remembered(x, 0.5 * (begin[i, 3] + begin[i + 1, 3]), inputs.dt, p)
         for j in range(substeps if i < n - 1 and shot > 1 else 0):
             at, end = i + j / substeps, i + (j + 1) / substeps
             while end - at > ROUNDING:

@@ -10,6 +10,8 @@ import pytest
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.gap import measure_gap
+from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.problems import problem_of
 from ffcomp.diagnosis.result import result_of
 from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.measurement.axis_run import AxisRun
@@ -17,7 +19,8 @@ from models.arrays import FloatArray
 from models.effects.catalogue import with_effects
 from models.kinds import machine_of_axis
 from models.machine import Machine
-from models.vibration.driven_axis import DrivenAxis
+from models.printer.one_axis import simulate_axis, simulate_load
+from models.vibration.driven_axis import Drive, DrivenAxis
 
 INERTIA, DAMPING = 0.0035, 0.01
 MOTOR = machine_of_axis(
@@ -70,7 +73,7 @@ def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> 
     assert sizes == pytest.approx({n: float(np.hypot(s, c)) for n, s, c in LINES}, rel=0.03)
     assert told.gap.before.nrms > 0.9 and told.gap.after.nrms < 0.1  # of the force, which is an absolute measure
     said = summary_sentences(told)
-    assert "of the drive's forces" in said[0] and any("stands still" in sentence for sentence in said)
+    assert "of the drive's forces" in said[0] and any("measured motion needs" in sentence for sentence in said)
 
 
 def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() -> None:
@@ -129,3 +132,55 @@ def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itsel
         needed = np.concatenate(balance.simulate({}))[60:2300, 0]
         forwards = np.where(rest > 0, 1 - share, 1 + share)
         np.testing.assert_allclose(needed * forwards, rest, atol=0.01)
+
+
+JOINT = DrivenAxis("force", 0.02, 0.0, 0.02, 0.012, 120.0, 0.05, unit="rad")
+KNOWN = {"axis.mass_kg": 0.3, "axis.load_mass_kg": 0.05, "axis.coupling_stiffness_n_per_m": 0.05}
+
+
+def swung(hidden: dict[str, dict[str, float]], softer: float, seed: int = 3) -> Problem:
+    """A joint that feedback moves, with encoders on motor and load; its file has neither friction nor this coupling."""
+    rng, t = np.random.default_rng(seed), np.arange(2400) / 500.0
+    truth = replace(JOINT, coupling_stiffness_n_per_m=softer * 120.0)
+    machine = with_effects(machine_of_axis("joint", truth), hidden)
+    runs = []
+    for name, hertz in (("a", (0.7, 6.1)), ("b", (0.5, 8.3))):
+        force = sum(0.12 * np.sin(2 * np.pi * f * t + k) for k, f in enumerate(hertz))
+        motion = simulate_axis(machine, np.asarray(force), t[1], substeps=8)
+        places = {"pos_q": motion.position_mm, "pos_motor": motion.motor_mm}
+        noisy = {s: x + 0.02 * rng.normal(size=len(t)) for s, x in places.items()}
+        felt = np.asarray(force) + 0.002 * rng.normal(size=len(t))
+        runs.append(AxisRun(f"run{name}.csv", t, felt, True, {}, noisy, {}))
+    file = machine_of_axis("joint", JOINT, uncertainty={**KNOWN, "axis.damping_n_s_per_m": 1.0})
+    return problem_of(file, runs, ("belt_stiffness", "stribeck_friction", "belt_backlash", "command_delay"))
+
+
+def test_a_coupling_is_found_beside_a_friction_that_no_formula_has() -> None:
+    """Simulated from the force, the error of the friction would hide that of the coupling."""
+    rough = {"coulomb_friction": {"force_n": 0.03}, "cogging_force": {"sine_n": 0.005, "pitch_mm": 300.0}}
+    found = diagnose(swung(rough, softer=0.65))
+    assert found.named is not None and "belt_stiffness" in found.named.names
+    assert found.final.values["effects.belt_stiffness.relative_change"] == pytest.approx(-0.35, abs=0.03)
+    assert "belt_backlash" not in found.named.names and "command_delay" not in found.named.names
+
+
+def test_a_load_that_a_measured_motor_takes_along_moves_as_it_does_in_the_whole_axis() -> None:
+    t = np.arange(1000) / 500.0
+    machine = with_effects(machine_of_axis("joint", JOINT), {"belt_backlash": {"width_mm": 0.5}})
+    whole = simulate_axis(machine, 0.3 * np.sin(9 * t), t[1], substeps=20)
+    load = simulate_load(machine, whole.motor_mm, t[1], 0, np.zeros((1, 4)))
+    twist = np.ptp(whole.position_mm - whole.motor_mm)
+    assert np.abs(load.position_mm - whole.position_mm).max() < 2e-3 * twist
+
+
+def test_a_drive_that_acts_late_is_no_missing_effect() -> None:
+    """Half a sample, as of a controller that holds its force; the file that is written keeps it."""
+    late = replace(MOTOR.vibration, drive=Drive(delay_s=0.5 / 400.0))
+    assert isinstance(late, DrivenAxis)
+    rng, t = np.random.default_rng(5), np.arange(3200) / 400.0
+    force = 0.02 * np.sin(2 * np.pi * 3.1 * t) + 0.02 * np.sin(2 * np.pi * 11.3 * t)
+    place = simulate_axis(replace(MOTOR, vibration=late), force, t[1], substeps=8).position_mm
+    run = AxisRun("run.csv", t, force, True, {}, {"pos_q": place + 1e-3 * rng.normal(size=len(t))}, {}, input="current")
+    found = diagnose(AxisProblem(MOTOR, [run], ("command_delay", "coulomb_friction")))
+    assert found.verdict == "none"
+    assert found.final.values["axis.drive.delay_s"] == pytest.approx(0.5 / 400.0, rel=0.1)
