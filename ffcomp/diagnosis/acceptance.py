@@ -8,7 +8,7 @@ import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, to_explain
-from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, implausible, moved_numbers
+from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.identification.uncertainty import Estimate
 
@@ -31,18 +31,16 @@ def rejections(
     settings, failed = estimation.settings, []
     if best.fit.ahead_of(base) < settings.significant:
         failed.append("it is not significantly better than retuning alone")
-    # where retuning alone explains the data as well, but by implausible parameters, there is nothing to gain
     if not held_out:
         failed.append("it was tested nowhere else: there is one experiment only")
     else:
         rows = sum(one.rows for one in held_out)
         gained = sum((one.before - one.after) * one.rows for one in held_out)
         left = sum(max(one.after, 0.0) * one.rows for one in held_out)
-        if not implausible(base) and gained < settings.significant:
+        if gained < settings.significant:
             failed.append("data left out of the fit are simulated no better with it")
         elif left / rows > estimation.tolerance and (share := left / max(to_explain(held_out), 1e-300)) > settings.left:
             failed.append(f"{100 * share:.0f} % of the discrepancy is left where it was left out of the fit")
-    failed += out_of_reach(best)
     if len(best.effects) == settings.most_effects and set(best.names) <= FILE_CHANGES:
         failed.append(
             "three of the machine file's own numbers would have to be far off at once, as in the file of another "
@@ -53,17 +51,6 @@ def rejections(
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")
     return failed
-
-
-def out_of_reach(best: Hypothesis) -> list[str]:
-    """Say which of the file's own numbers had to move furthest, if they had to move beyond what the file says."""
-    if best.plausible:
-        return []
-    name, z = max(moved_numbers(best.fit, best.machine_count), key=lambda each: each[1])
-    return [
-        "with it the machine file's own numbers would have to be off by more than the file says, "
-        f"{name} by {z:.1f} times its uncertainty"
-    ]
 
 
 def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:

@@ -19,12 +19,10 @@ import numpy as np
 from ffcomp.diagnosis.acceptance import rejections, unproven
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
-    LARGE,
     QUICK_GAIN,
     continue_fit,
     excerpt_of,
     fit_in_excerpt,
-    fit_within_uncertainty,
     hypothesis_in_whole,
     linearised,
     parsimonious_fit,
@@ -43,9 +41,7 @@ from ffcomp.diagnosis.hypotheses import (
     FILE_CHANGES,
     Hypothesis,
     competing_with,
-    implausible,
     likeliest,
-    significant,
     worth,
 )
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
@@ -223,11 +219,10 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
-    base = _fitted_to_the_end(estimation, base, least)
     still = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
     if base.discrepancy > still and (balance := problem.balance()) is not None:
         progress("simulated from its force, the axis is further off than one that stands still: forces are compared")
-        return _diagnosed(balance, noise_floor(balance), {}, asked)
+        return _diagnosed(balance, noise_floor(balance), balance.least_density, asked)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
@@ -240,7 +235,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
         progress(Stage(3, f"screening {len(problem.candidates)} effects"))
         screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
         hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
-        if small and not implausible(base) and not hint:
+        if small and not hint:
             return replace(none, screened=screened)
         search = Search(estimation, _bases(estimation, filed, base, screened, small), base, progress)
         selection = find_best(search)
@@ -249,8 +244,8 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
         searched = _Searched(selection.best, selection, screened, estimation, base)
     none, best = replace(none, screened=searched.screened), searched.selection.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
-    retuned = _retuned(estimation, best, least)
-    if retuned.discrepancy < least and not _needed(estimation, best, retuned):
+    retuned = _retuned(estimation, best)
+    if retuned.discrepancy < least and not worth(estimation, best.fit, retuned, 0.0):
         return replace(none, base=retuned, final=retuned)
     tested = _tested(none, searched, searched.selection.best, progress)
     if tested.rejections and not small:
@@ -270,13 +265,11 @@ def _bases(
     """Select the fits of the machine's parameters to begin the search at, with the candidates screened there.
 
     The file's own parameters are one of them: with the right effect they need no retuning, and a fit that made them
-    implausible to mimic it leads astray; but where they are far off, it is their error that is seen from there.
+    far off to mimic it leads astray; but where they are far off, it is their error that is seen from there.
     """
-    if small and not implausible(base):
+    if small:
         return [(base, screened)]
     from_file = (filed, screen(replace(estimation, coarse=True), filed, list(estimation.problem.candidates)))
-    if implausible(base) and base.discrepancy < LARGE:
-        return [from_file]  # implausible parameters explain all: with them every effect looks as good
     return [from_file, (base, screened)]
 
 
@@ -301,7 +294,7 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
     return _Searched(selection.best, finished, screened, part, retuned)
 
 
-def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> Fit:
+def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
     """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
     file, alone = estimation.problem.parameters, best
     for c in best.effects:
@@ -309,33 +302,7 @@ def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> F
     z, jacobian = alone.fit.z, alone.fit.jacobian
     if any(c.replaces for c in best.effects):
         jacobian = linearised(estimation, file, z).jacobian
-    retuned = fit(estimation, file, z, jacobian, iterations=4)
-    return (
-        _fitted_to_the_end(estimation, retuned, least)
-        if significant(best.fit, retuned, estimation.settings, 0.0)
-        else retuned
-    )
-
-
-def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float) -> Fit:
-    """Fit the machine's parameters alone to the end, where they leave nothing but are far off to do so.
-
-    Numbers that make up for each other in all that was recorded go far astray on the way, and come back for the price
-    of their prior alone; that little is seen with exact derivatives only. An effect is not to be named for it.
-    """
-    if min(fitted.discrepancy, fitted.predicted_discrepancy) > least or not implausible(fitted):
-        return fitted
-    ended = fit(estimation, fitted.parameters, fitted.z, fitted.jacobian, iterations=10, exact=True)
-    return fitted if fitted.ahead_of(ended) > 0.0 else ended
-
-
-def _needed(estimation: EstimationProblem, best: Hypothesis, retuned: Fit) -> bool:
-    """Tell whether effects are needed, where the machine's parameters alone leave nothing.
-
-    Numbers far beyond what the file says explain nothing, if an effect does better without: by any noise.
-    """
-    astray = implausible(retuned) and best.plausible and significant(best.fit, retuned, estimation.settings, 0.0)
-    return astray or worth(estimation, best.fit, retuned, 0.0)
+    return fit(estimation, file, z, jacobian, iterations=4)
 
 
 # ---- the verdict ---------------------------------------------------------------------------------
@@ -358,7 +325,6 @@ def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progre
 def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Progress) -> Diagnosis:
     """Put the best hypothesis to the acceptance tests."""
     estimation, tried = none.estimation, searched.selection.tried
-    best = _believable(none, best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
     wide = intervals_of(estimation, best.fit, final.values, scatter=True)
@@ -398,18 +364,6 @@ def _proven_intervals(
             without = continue_fit(none.estimation, rest, progress).fit if rest.effects else none.base
             intervals = by_deviance(none.estimation, c, best.fit, without, intervals)
     return intervals
-
-
-def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypothesis:
-    """Hold the file's numbers to what it says of them, where the best hypothesis leaves hardly more with them so.
-
-    In loud data they move to make up for an effect's shape, which is never exactly ours, without being needed.
-    """
-    if best.plausible:
-        return best
-    held = fit_within_uncertainty(none.estimation, best, progress)
-    share = none.estimation.settings.reshaped_share
-    return best if significant(best.fit, held.fit, none.estimation.settings, share) else held
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:

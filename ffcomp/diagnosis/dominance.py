@@ -20,16 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import out_of_reach, undetermined, unfounded
-from ffcomp.diagnosis.fidelity import fit_within_uncertainty
+from ffcomp.diagnosis.acceptance import unfounded
 from ffcomp.diagnosis.fit import (
     EstimationProblem,
     Fit,
-    derivatives,
-    fit,
     intervals_of,
     solved,
-    values_at,
 )
 from ffcomp.diagnosis.held_out import (
     Groups,
@@ -41,8 +37,7 @@ from ffcomp.diagnosis.held_out import (
     simulate_left_out,
     to_explain,
 )
-from ffcomp.diagnosis.hypotheses import IMPLAUSIBLE, Hypothesis, likeliest, moved_numbers
-from ffcomp.diagnosis.recording_clocks import belongs_to_recording
+from ffcomp.diagnosis.hypotheses import Hypothesis, likeliest
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
@@ -94,7 +89,8 @@ def dominant_effect(
     if min(h.discrepancy for h in contenders) > (1 - estimation.settings.dominant / 2) * base.discrepancy:
         return None  # even where they were fitted, none explains half of what one must elsewhere
     progress("nothing explains all of it: looking for what explains most")
-    sound = [h for h in (_fitted(estimation, h, progress) for h in contenders) if _sound(estimation, h)]
+    # an interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess
+    sound = [h for h in contenders if not unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True))]
     if not sound:
         return None
     held_out = hold_out(estimation, base, base, parts, retuned=by_place(estimation))
@@ -156,11 +152,6 @@ def _needed(h: Hypothesis) -> int:
     return sum(p.role == "amplitude" or p.default is None for p in CATALOGUE[h.names[0]].parameters)
 
 
-def _fitted(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
-    """Hold the file's numbers to what the file says of them: the rest would bend them."""
-    return fit_within_uncertainty(estimation, h, progress) if out_of_reach(h) else h
-
-
 def _tested(estimation: EstimationProblem, h: Hypothesis, parts: Groups) -> _Tested:
     left, alike, total = [], 0.0, 0.0
     for members in parts.values():
@@ -197,40 +188,3 @@ def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float, ahead
     """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
     before = np.array([max(one.before, 0.0) * one.rows for one in held_out])
     return _ahead(first, before * whole / max(before.sum(), 1e-300), ahead)
-
-
-def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the file stays plausible, and what is to repeat or swing does.
-
-    A rest bends the file's numbers, in quiet data as far as they may go: then the effect must hold most with the file
-    as it is, for what numbers at their ends explain another file would, and any of its numbers must be determined.
-
-    Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
-    """
-    squares = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
-    if sum(squares) > IMPLAUSIBLE * len(squares) * (1 + 1e-9):  # what is held there is not beyond it
-        return False
-    ends = sum(square > IMPLAUSIBLE * (1 - 1e-9) for square in squares)
-    bent = ends > max(len(squares) / 2, estimation.settings.most_effects)
-    if bent and not (_holds_most_as_filed(estimation, h) and _any_determined(estimation, h)):
-        return False
-    return not unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True))
-
-
-def _any_determined(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether any number of the effect has an interval narrower than its range."""
-    numbers = [n for n in h.effect_parameters if n.low < n.high]
-    intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
-    return not numbers or len(undetermined(h, intervals)) < len(numbers)
-
-
-def _holds_most_as_filed(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the effect explains most of what the file as it is leaves, without any of its numbers retuned."""
-    machine = zip(h.machine_parameters, h.fit.z, strict=False)
-    filed = values_at(h.machine_parameters, np.array([z if belongs_to_recording(n.name) else 0.0 for n, z in machine]))
-    there, every = estimation.with_fixed(filed), range(h.effect_count)
-    without = there.residual({})
-    begun = there.residual(values_at(h.effect_parameters, h.effect_z))
-    columns = derivatives(there, h.effect_parameters, h.effect_z, begun, every)
-    alone = fit(there, h.effect_parameters, h.effect_z, columns, every, 6)
-    return alone.chi_squared < (1 - estimation.settings.dominant) * float(without @ without)

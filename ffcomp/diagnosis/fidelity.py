@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
-from ffcomp.diagnosis.hypotheses import IMPLAUSIBLE, Hypothesis, log_fit, log_try
+from ffcomp.diagnosis.hypotheses import Hypothesis, log_fit, log_try
 from ffcomp.diagnosis.problem import Parameter, Problem
-from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.numerics.least_squares import SMALL_GAIN
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
@@ -103,25 +102,6 @@ def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress
     start = h.fit.z if h.fit.ahead_of(alone) > 0.0 else from_file
     fitted = _fit_quickly(estimation, h.fit.parameters, start, h.fit.jacobian, (), 5, exact=True, little=LARGE)
     return log_fit(estimation, Hypothesis(h.effects, fitted, exact=True), progress, " at the end")
-
-
-def fit_within_uncertainty(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
-    """Fit with the file's numbers held to their stated uncertainty: an effect's shape may have moved them."""
-    log_try(h.effects, progress, " with the file's numbers within reach")
-    parameters = (*_held(h.machine_parameters, float(np.sqrt(IMPLAUSIBLE))), *h.effect_parameters)
-    start, renew = clipped(parameters, h.fit.z), range(h.machine_count, len(parameters))
-    fitted = _fit_quickly(estimation, parameters, start, h.fit.jacobian, renew, 8, little=LARGE)
-    return log_fit(estimation, Hypothesis(h.effects, fitted), progress, " with the file's numbers within reach")
-
-
-def _held(parameters: Sequence[Parameter], times: float) -> tuple[Parameter, ...]:
-    """Hold the file's numbers to so many times their uncertainties; delays of recordings stay free."""
-    return tuple(
-        n
-        if belongs_to_recording(n.name)
-        else replace(n, low=max(n.low, n.start - times * n.sd), high=min(n.high, n.start + times * n.sd))
-        for n in parameters
-    )
 
 
 def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:

@@ -16,7 +16,6 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
 FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
-IMPLAUSIBLE = 3.0  # mean square of the file's numbers, in their variances, beyond which they are implausible
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +70,6 @@ class Hypothesis:
     def effect_z(self) -> FloatArray:
         """Values of the effects' parameters as z, (effect_count,)."""
         return self.fit.z[self.machine_count :]
-
-    @property
-    def plausible(self) -> bool:
-        """Whether the file's numbers moved no further than their uncertainties make likely."""
-        return not implausible(self.fit, self.machine_count)
 
     def without(self, dropped: Candidate, file: Sequence[Parameter]) -> Hypothesis:
         """Leave one effect out, everything else as it stands; the numbers of the file that it replaced do what it did.
@@ -175,7 +169,7 @@ def competing_with(
     ]
 
 
-# ---- plausible numbers of the file ---------------------------------------------------------------
+# ---- the file's numbers --------------------------------------------------------------------------
 
 
 def moved_numbers(fitted: Fit, machine_count: int | None = None) -> list[tuple[str, float]]:
@@ -191,12 +185,6 @@ def moved_numbers(fitted: Fit, machine_count: int | None = None) -> list[tuple[s
             clocks.setdefault(f"{name.rpartition('.')[2]} of all recordings", []).append(z)
     common = [(name, abs(sum(each)) / len(each) ** 0.5) for name, each in clocks.items() if len(each) > 1]
     return [*((name, abs(z)) for name, z in moved if not belongs_to_recording(name)), *common]
-
-
-def implausible(fitted: Fit, machine_count: int | None = None) -> bool:
-    """Tell whether the file's numbers moved further than their uncertainties make likely."""
-    moved = moved_numbers(fitted, machine_count)
-    return sum(z**2 for _, z in moved) > IMPLAUSIBLE * len(moved)
 
 
 # ---- the remaining discrepancy -------------------------------------------------------------------

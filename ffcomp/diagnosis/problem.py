@@ -17,7 +17,7 @@ from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
 from models.quantities import PLAIN, Quantities
 
-REACH_SD = 5.0  # standard deviations: the range for retuning the file's numbers
+REACH_SD = 3.0  # standard deviations: the range for retuning the file's numbers; further off, something is missing
 TOWERS = ("tower A", "tower B", "tower C")
 
 

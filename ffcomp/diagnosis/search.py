@@ -132,12 +132,12 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
 def incomplete(search: Search, h: Hypothesis) -> bool:
     """Tell whether a discrepancy is left somewhere, or a number of the file is oddly far off."""
     odd = any(z > search.settings.odd_sd for _, z in moved_numbers(h.fit, h.machine_count))
-    return odd or not h.plausible or leaves_excess(search.estimation, h.fit)
+    return odd or leaves_excess(search.estimation, h.fit)
 
 
 def _asks_for_more(search: Search, h: Hypothesis) -> bool:
     """Tell whether another effect is looked for: more is left than the formulas of those named may leave."""
-    inexact = h.plausible and h.discrepancy < search.settings.trace * search.retuned.discrepancy
+    inexact = h.discrepancy < search.settings.trace * search.retuned.discrepancy
     return incomplete(search, h) and not inexact
 
 
@@ -264,15 +264,10 @@ def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypoth
 
 
 def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first.
-
-    At least one keeps the file's numbers plausible, if any does.
-    """
+    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first."""
     ranked = distinct(likeliest(children))
     far = search.settings.near**2  # of quick fits, which are rough
     chosen = [h for h in ranked[: search.settings.width] if comparable(h, ranked[0], far, search.settings)]
-    if not any(h.plausible for h in chosen):
-        chosen = [*chosen, *[h for h in ranked if h.plausible][:1]]
     for h in ranked:
         outcome, reason = ("kept", "") if h in chosen else ("dropped", "others leave less of the loudest motions")
         search.estimation.trace.add(
@@ -407,7 +402,8 @@ def finish(search: Search, selection: Selection) -> Selection:
             best = _preferred(search, best, _finished(search, rival, selection.tried))
             search.estimation.trace.add("rival", rival.names, outcome=f"{' + '.join(best.names)} is preferred")
     best, others = _simplified(search, best)
-    return replace(selection, best=best, tried=(*selection.tried, *others))
+    tried = (*selection.tried, *others)
+    return replace(selection, best=_finished(search, best, tried), tried=tried)  # in its simplest form more may be idle
 
 
 def _finished(search: Search, h: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
@@ -429,8 +425,6 @@ def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypot
 
 def _preferred(search: Search, best: Hypothesis, rival: Hypothesis) -> Hypothesis:
     """Return the likelier of two; the one with fewer numbers, unless the other is significantly better."""
-    if rival.plausible != best.plausible:
-        return rival if rival.plausible else best
     smaller, larger = sorted((best, rival), key=lambda h: len(h.fit.parameters))
     if len(smaller.fit.parameters) == len(larger.fit.parameters):
         return likeliest([best, rival])[0]
