@@ -23,25 +23,26 @@ def code() -> tuple[set[str], set[str]]:
     """Return the words of the code but for docstrings, and the names of the modules."""
     words, modules = set[str](), {part for path in SOURCES for part in path.relative_to(ROOT).with_suffix("").parts}
     for path in SOURCES:
-        text = path.read_text(encoding="utf-8")
-        for doc, _ in docstrings(text):
-            text = text.replace(doc, "", 1)
-        words |= set(re.findall(r"\w+", text))
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for _, first, last in docstrings(path):
+            lines[first - 1 : last] = [""] * (last - first + 1)
+        words |= set(re.findall(r"\w+", "\n".join(lines)))
     return words, modules
 
 
-def docstrings(text: str) -> Iterator[tuple[str, int]]:
-    """Yield the docstrings of a module as they are written, and their lines."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(node):
-            assert isinstance(node.body[0], ast.Expr)
-            yield ast.literal_eval(node.body[0].value), node.body[0].lineno
+@cache
+def docstrings(path: Path) -> list[tuple[str, int, int]]:
+    """Return the docstrings of a file as they are written, and their first and last lines."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    found = [node.body[0] for node in nodes if isinstance(node, kinds) and ast.get_docstring(node)]
+    return [(ast.literal_eval(x.value), x.lineno, x.end_lineno or 0) for x in found if isinstance(x, ast.Expr)]
 
 
 def stale(path: Path) -> Iterator[str]:
     """Yield the names in the docstrings of a file that lead nowhere, with their lines."""
     words, modules = code()
-    for doc, line in docstrings(path.read_text(encoding="utf-8")):
+    for doc, line, _ in docstrings(path):
         for quoted in QUOTED.findall(doc):
             first, *rest = quoted.split(".")
             if FILE.fullmatch(quoted):

@@ -1,7 +1,4 @@
-"""The wrappers, called as Cura and Moonraker call them, and the recipes for all the others.
-
-`test_slicers.py` has a real Cura call its wrapper.
-"""
+"""The wrappers, called as Cura and Moonraker call them, and the recipes for all the others."""
 
 from __future__ import annotations
 

@@ -65,13 +65,11 @@ def test_the_track_is_that_of_an_independent_printer() -> None:
     assert track.peak_command_acceleration_mm_per_s2 / 1e3 == pytest.approx(theirs.peak_m_per_s2, rel=0.01)
 
 
-@pytest.mark.parametrize("options", [("--offset-mm", "-20,10", "--max-segments-per-second", "160")])
-def test_a_compensated_file_is_judged_against_its_original(
-    options: tuple[str, ...], square: Path, tmp_path: Path
-) -> None:
+def test_a_compensated_file_is_judged_against_its_original(square: Path, tmp_path: Path) -> None:
     """As the design model predicts it, and against the path that the slicer wanted."""
     target = tmp_path / "out.gcode"
     klipper = ("--flavor", "klipper")  # in Marlin the command's segments come late by some ms, which is no contour
+    options = ("--offset-mm", "-20,10", "--max-segments-per-second", "160")
     words = ("-o", target, "--quiet", "--robust", "off", *klipper, *options)  # a robust reference is early or late
     predicted = good("compensate", square, "-m", "mp-delta-pro", *words)["predicted"]
     before, after = (good("simulate", path, "-m", "mp-delta-pro", "--quiet", *klipper) for path in (square, target))

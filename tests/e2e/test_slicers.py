@@ -1,4 +1,4 @@
-"""Slicers call us: what they say, what they are told, what is logged; PrusaSlicer, Slic3r and Cura really slicing."""
+"""Slicers call us: what they say, what they are told, what is logged; PrusaSlicer really slicing."""
 
 from __future__ import annotations
 
@@ -168,9 +168,3 @@ def test_what_prusaslicer_exports_is_the_compensated_print(
     text = (slicer.folder / "ffcomp.log").read_text(encoding="utf-8")
     assert "for File: aus gabe.gcode" in text and "exit code 0" in text
     assert ("another script after ffcomp (true)" in text) == ("true" in more)
-
-
-# -- Cura, really --
-
-UNUSED = ["Toolbox", "UpdateChecker", "FirmwareUpdateChecker", "SliceInfoPlugin", "DigitalLibrary", "CuraDrive"]
-UNUSED += ["RemovableDriveOutputDevice", "USBPrinting", "UM3NetworkPrinting"]

@@ -26,11 +26,7 @@ from tests.support.prints import squares
 from tests.support.settings import finely_joined
 
 MACHINE = load_machine("mp-delta-pro")
-FOLDED = {
-    "belt_stiffness": {"relative_change": -0.15},
-    "effector_mass": {"added_kg": 0.1},
-    "extruder_mount": {"relative_stiffness_change": [-0.4, -0.4, 0.0], "relative_damping_change": [0.0] * 3},
-}
+MOUNT = {"relative_stiffness_change": [-0.4, -0.4, 0.0], "relative_damping_change": [0.0] * 3}
 
 
 def command(believed: Machine, text: bytes) -> tuple[PrintSlice, Motion]:
@@ -47,9 +43,9 @@ def contour_rms_um(believed: Machine, plant: Machine, text: bytes = squares(1)) 
     return float(1e3 * np.sqrt(np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2)))
 
 
-@pytest.mark.parametrize("name", FOLDED)
-def test_a_file_that_names_the_effect_prints_as_well_as_one_without_it(name: str) -> None:
-    plant = with_effect(MACHINE, name, **FOLDED[name])
+def test_a_file_that_names_an_effect_that_is_folded_prints_as_well_as_one_without_it() -> None:
+    """Which number each effect changes is asked in `test_effects.py`."""
+    plant = with_effect(MACHINE, "extruder_mount", **MOUNT)
     ignorant, knowing, nominal = (contour_rms_um(*pair) for pair in ((MACHINE, plant), (plant, plant), (MACHINE,) * 2))
     assert knowing < 1.5 * nominal
     assert knowing < 0.6 * ignorant

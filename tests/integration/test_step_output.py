@@ -110,8 +110,7 @@ G4 S0.8
 """
 
 
-@pytest.mark.parametrize("plain", [False, True])
-@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+@pytest.mark.parametrize(("plain", "error_s"), [(False, 12.5e-6), (True, None)])
 def test_every_wait_is_in_the_steps(machine: Machine, tmp_path: Path, plain: bool, error_s: float | None) -> None:
     """Before the first motion, where a chunk is cut, and after the last motion."""
     target = tmp_path / "steps.npz"
