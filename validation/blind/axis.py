@@ -5,7 +5,6 @@ Its sensors are an encoder and an accelerometer on the load, or on the only mass
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 
 import numpy as np
@@ -80,32 +79,30 @@ def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
     return {**tables, "belt_stiffness": {"relative_change": change}}
 
 
-def _alone(name: str) -> Hide:
-    """Return an effect of `hidden` with the table of one axis."""
+def alone(name: str, hide: Hide) -> Hide:
+    """Return a printer's effect with the table of one axis.
 
-    def hide(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-        table, changed = straight.effects_of("cartesian")[name](rng, size, real)
-        return {key: value[0] if isinstance(value, list) else value for key, value in table.items()}, changed
+    Friction turns over as a tanh: friction that bends before it slides has a name of its own here.
+    """
 
-    return hide
+    def hidden(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+        table, changed = hide(rng, size, real)
+        own = {key: value[0] if isinstance(value, list) else value for key, value in table.items()}
+        return own, changed.having(dry_kind=TANH) if name.endswith("_friction") else changed
+
+    return hidden
 
 
 def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a drive that is stiffer or softer than the file says."""
+    return stiffened(rng, size, real, "mount_k" if real.machine["plant"]["tool"][0] > 0 else "belt_k")
+
+
+def stiffened(rng: Rng, size: float, real: Real, which: str) -> tuple[Tables, Real]:
+    """Hide a spring that is stiffer or softer than the file says."""
     change = size * sign(rng) * rng.uniform(0.12, 0.25)
-    machine = copy.deepcopy(real.machine["plant"])
-    which = "mount_k" if machine["tool"][0] > 0 else "belt_k"
-    return {"relative_change": change}, real.changed("plant", **{which: [k * (1 + change) for k in machine[which]]})
-
-
-def _smooth(name: str) -> Hide:
-    """Return friction that turns over as a tanh: friction that bends before it slides has a name of its own here."""
-
-    def hide(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-        table, changed = _alone(name)(rng, size, real)
-        return table, changed.having(dry_kind=TANH)
-
-    return hide
+    stiff = [k * (1 + change) for k in real.machine["plant"][which]]
+    return {"relative_change": change}, real.changed("plant", **{which: stiff})
 
 
 def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -138,10 +135,11 @@ def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return {"delay_s": delay}, real.ordered(late)
 
 
+_PRINTERS = straight.effects_of("cartesian")
 EFFECTS: Mapping[str, Hide] = {
-    **{name: _smooth(name) for name in SMOOTH},
+    **{name: alone(name, _PRINTERS[name]) for name in SMOOTH},
     "bristle_friction": bristle_friction,
-    **{name: _alone(name) for name in SHARED},
+    **{name: alone(name, _PRINTERS[name]) for name in SHARED},
     "belt_stiffness": belt_stiffness,
     "command_delay": command_delay,
     "sensor_lag": sensor_lag,

@@ -24,6 +24,7 @@ from models.file import load_machine
 from models.machine import Machine
 from validation.blind.motions import Motion
 from validation.blind.real import FloatArray, Reading, Rng, turned
+from validation.plants.accelerometer import klipper_text
 
 BEFORE_S, AFTER_S = 1.2, 0.7  # of the motion that is simulated around an experiment
 COUNT_M_PER_S2 = 3.9e-3 * 9.80665
@@ -38,7 +39,7 @@ TURNS = np.array(
 def planned_motions(machine_file: str, seed: int, seconds: float) -> tuple[tuple[Motion, ...], tuple[int, ...]]:
     """Return the motions of an owner's plan, with what is before and after them, and how often each is made."""
     _, plan = _planned(machine_file, seed, seconds)
-    motions = [Motion(each.name, _around(each), BEFORE_S + each.duration_s + AFTER_S) for each in plan.experiments]
+    motions = [around(each, each.motion.nozzle) for each in plan.experiments]
     return tuple(motions), tuple(plan.repeats for _ in motions)
 
 
@@ -56,11 +57,13 @@ def _planned(machine_file: str, seed: int, seconds: float) -> tuple[Machine, Pla
     return machine, make_plan(machine, request)
 
 
-def _around(each: Experiment) -> Callable[[FloatArray], FloatArray]:
-    def nozzle(t: FloatArray) -> FloatArray:
-        return np.asarray(each.motion.nozzle(np.clip(t - BEFORE_S, -0.9, each.duration_s + 1.0)))
+def around(each: Experiment, nozzle: Callable[[FloatArray], FloatArray]) -> Motion:
+    """Return an experiment's motion with what is before and after it: `nozzle` from the experiment's begin on."""
 
-    return nozzle
+    def path(t: FloatArray) -> FloatArray:
+        return np.asarray(nozzle(np.clip(t - BEFORE_S, -0.9, each.duration_s + 1.0)))
+
+    return Motion(each.name, path, BEFORE_S + each.duration_s + AFTER_S)
 
 
 def joined_runs(machine_file: str, readings: Sequence[Reading], seed: int, rng: Rng, seconds: float) -> dict[str, str]:
@@ -91,7 +94,7 @@ class _Chip:
         self.rng = rng
 
     def capture(self, reading: Reading, duration_s: float, plan: Plan) -> str:
-        """Return the text of a capture as Klipper writes it: s of print time, mm/s²; some rows are lost."""
+        """Return the text of a capture; some rows are lost."""
         first = BEFORE_S - plan.rest_before_s + self.rng.uniform() / self.rate_hz
         t = np.arange(first, BEFORE_S + duration_s + plan.rest_after_s, 1 / self.rate_hz)
         own = (CubicSpline(reading.t, reading.nozzle)(t) + GRAVITY) @ self.turn.T
@@ -99,5 +102,4 @@ class _Chip:
         own += self.level * (0.8 * white + 0.5 * lfilter([0.8], [1.0, -0.6], other, axis=0))
         counted = 1e3 * COUNT_M_PER_S2 * np.rint(own / COUNT_M_PER_S2)
         kept = self.rng.random(len(t)) > LOST
-        rows = zip((t[kept] + 50.0).tolist(), *counted[kept].T.tolist(), strict=True)
-        return "#time,accel_x,accel_y,accel_z\n" + "".join(f"{t:.6f},{x:.4f},{y:.4f},{z:.4f}\n" for t, x, y, z in rows)
+        return klipper_text(t[kept] + 50.0, counted[kept], digits=4)

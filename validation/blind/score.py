@@ -322,14 +322,9 @@ def summary(judged: Sequence[Judged]) -> dict[str, Any]:
 def rate_of(rate: Rate) -> dict[str, Any]:
     """Return one rate with its Wilson interval and its aim."""
     low, high = rate.interval
-    return {
-        "title": rate.title,
-        "hits": rate.hits,
-        "total": rate.total,
+    return {key: getattr(rate, key) for key in ("title", "hits", "total", "aim", "verdict")} | {
         "low": low,
         "high": high,
-        "aim": rate.aim,
-        "verdict": rate.verdict,
     }
 
 

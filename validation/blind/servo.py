@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from validation.blind import effects
-from validation.blind.axis import presliding_friction
+from validation.blind.axis import alone, presliding_friction, stiffened
 from validation.blind.effects import by_name
 from validation.blind.motions import Motion, points
 from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, sign
@@ -240,17 +240,6 @@ FORCED = replace(AXES, friction=(0.3, 1.5), stiction=(0.4, 1.5), grease=(2.0, 8.
 LOUD_M_PER_S2 = 4.0  # under which a coupling that hardens has its usual stretch
 
 
-def _alone(name: str) -> Hide:
-    """Return an effect of printers with the table of one axis; friction turns over as a tanh."""
-
-    def hide(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-        table, changed = effects.SHARED[name](FORCED, rng, size, real)
-        own = {key: value[0] if isinstance(value, list) else value for key, value in table.items()}
-        return own, changed.having(dry_kind=1) if name.endswith("_friction") else changed
-
-    return hide
-
-
 def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide dry friction that bends before it slides."""
     force = size * rng.uniform(*FORCED.friction) * masses(real)[0]
@@ -294,9 +283,7 @@ def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
 
 def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a coupling that is stiffer or softer than the file says."""
-    change = size * sign(rng) * rng.uniform(0.12, 0.25)
-    stiff = [k * (1 + change) for k in real.machine["plant"]["belt_k"]]
-    return {"relative_change": change}, real.changed("plant", belt_k=stiff)
+    return stiffened(rng, size, real, "belt_k")
 
 
 def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -312,10 +299,11 @@ def _softness(real: Real) -> float:
     return float(plant["tool"][0] / max(plant["belt_k"][0], 1e-9)) or 1.0
 
 
+_ALONE = {name: alone(name, hide) for name, hide in effects.of_kind(effects.SHARED, FORCED).items()}
 EFFECTS: Mapping[str, Hide] = {
-    **{name: _alone(name) for name in ("coulomb_friction", "stribeck_friction")},
+    **{name: _ALONE[name] for name in ("coulomb_friction", "stribeck_friction")},
     **by_name(bristle_friction),
-    **{name: _alone(name) for name in ("guide_damping", "belt_backlash")},
+    **{name: _ALONE[name] for name in ("guide_damping", "belt_backlash")},
     **by_name(friction_by_direction, quadratic_drag, ground_spring, cogging_force),
     **by_name(command_delay, belt_stiffness, belt_hardening),
 }

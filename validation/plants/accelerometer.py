@@ -61,9 +61,14 @@ def klipper_capture(
     """Text of the capture between two toggles, `begin_s` and `end_s` on the clock of `felt`."""
     first = begin_s + rng.uniform() / chip.rate_hz
     t = np.arange(first, end_s, 1 / chip.rate_hz)
-    values = 1e3 * chip.counts(felt(t), rng)
-    rows = zip((t - begin_s + print_time_s).tolist(), *values.T.tolist(), strict=True)
-    return "#time,accel_x,accel_y,accel_z\n" + "".join(f"{t:.6f},{x:.6f},{y:.6f},{z:.6f}\n" for t, x, y, z in rows)
+    return klipper_text(t - begin_s + print_time_s, 1e3 * chip.counts(felt(t), rng))
+
+
+def klipper_text(time_s: FloatArray, mm_per_s2: FloatArray, digits: int = 6) -> str:
+    """Write times (n,) and accelerations (n, 3) as Klipper does."""
+    rows = zip(time_s.tolist(), *mm_per_s2.T.tolist(), strict=True)
+    lines = (f"{t:.6f},{x:.{digits}f},{y:.{digits}f},{z:.{digits}f}\n" for t, x, y, z in rows)
+    return "#time,accel_x,accel_y,accel_z\n" + "".join(lines)
 
 
 def reprapfirmware_capture(

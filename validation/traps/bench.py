@@ -18,13 +18,13 @@ from scipy.interpolate import CubicSpline
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Experiment, Plan, save_plan
 from models.file import load_machine
+from validation.blind.captures import BEFORE_S, around
 from validation.blind.delta import draw_machine, file_of, played
-from validation.blind.motions import Motion
 from validation.blind.real import FloatArray, Order, Real, Tables, toml_of
+from validation.plants import accelerometer
 from validation.plants.accelerometer import Chip, draw_chip
 
 PRINTER_SEED = 6
-BEFORE_S, AFTER_S = 1.2, 0.7  # of the motion that is simulated around an experiment
 AT_MM = ((0.0, 0.0), (55.0, 20.0), (-40.0, -50.0))
 MADE = ("ffcomp-zigzag-0", "ffcomp-reversals-1", "ffcomp-multisine-2")
 CHIP = "adxl345"
@@ -167,31 +167,22 @@ def _felt(bench: Bench, experiment: Experiment, index: int, kept: Path) -> tuple
         found = np.load(path)
         return found["t"], found["nozzle"]
 
-    def nozzle(t: FloatArray) -> FloatArray:
-        return moved(np.clip(t - BEFORE_S, -0.9, experiment.duration_s + 1.0))
-
-    motion = Motion(experiment.name, nozzle, BEFORE_S + experiment.duration_s + AFTER_S)
-    reading = played(real, firmware, motion)
+    reading = played(real, firmware, around(experiment, moved))
     kept.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(path, t=reading.t - BEFORE_S, nozzle=reading.nozzle)
     return reading.t - BEFORE_S, reading.nozzle
 
 
 def klipper_text(taken: Taken, print_time_s: float = 55.0) -> str:
-    """The capture as Klipper writes it: s of print time, mm/s²."""
-    head = taken.comments + "#time,accel_x,accel_y,accel_z\n"
-    return head + _rows(taken.time_s + print_time_s, 1e3 * taken.values)
+    """The capture as Klipper writes it."""
+    return taken.comments + accelerometer.klipper_text(taken.time_s + print_time_s, 1e3 * taken.values)
 
 
 def phone_text(taken: Taken) -> str:
     """The capture as an app writes it: its own time, m/s²."""
     axes = ",".join(f"Acceleration {axis} (m/s^2)" for axis in "xyz")
-    return f"Time (s),{axes}\n" + _rows(taken.time_s - taken.time_s[0], taken.values)
-
-
-def _rows(time_s: FloatArray, values: FloatArray) -> str:
-    rows = zip(time_s.tolist(), *values.T.tolist(), strict=True)
-    return "".join(f"{t:.6f},{x:.6f},{y:.6f},{z:.6f}\n" for t, x, y, z in rows)
+    _, _, rows = accelerometer.klipper_text(taken.time_s - taken.time_s[0], taken.values).partition("\n")
+    return f"Time (s),{axes}\n{rows}"
 
 
 def write(bench: Bench, sensing: Sensing, folder: Path, kept: Path, seed_of_plan: int = 1) -> list[Path]:
