@@ -136,7 +136,7 @@ def _slow(values: FloatArray) -> FloatArray:
     return np.fft.irfft(spectrum, len(values), axis=0)
 
 
-@pytest.mark.parametrize("stratum", [f"{machine}:none" for machine in MACHINES])
+@pytest.mark.parametrize("stratum", [f"{machine}:none" for machine in MACHINES if machine != "nozzle"])  # a delta
 def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> None:
     """Every kind of motion through files, against the tool's own simulation of the same machine."""
     made = case(21, stratum, SECONDS)

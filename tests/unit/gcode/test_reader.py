@@ -156,9 +156,6 @@ def test_accel_to_decel_is_for_older_klippers_alone() -> None:
         read("SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=1", flavor="klipper")
 
 
-# -- mistakes --
-
-
 # -- properties --
 
 numbers = st.decimals(-200, 200, places=3).map(str)

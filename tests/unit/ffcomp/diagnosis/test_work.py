@@ -104,9 +104,6 @@ def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
     assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
 
 
-# ---- parts ----
-
-
 # ---- fit -----------------------------------------------------------------------------------------
 
 
@@ -149,9 +146,6 @@ def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_canno
     exact = estimation.whiten([0.5 * (t**2 + 3 * 1.15**2 * t)])
     assert np.linalg.norm(fine[:, 0] - exact) < 1e-5 * np.linalg.norm(exact)
     assert not fine[:, 1].any() and not rough[:, 1].any()
-
-
-# ---- what runs must be ---------------------------------------------------------------------------
 
 
 # ---- excerpts ----

@@ -164,9 +164,6 @@ def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
     assert drawn.exit_code == 0 and "100 % accurate in magnitude" in json.loads(drawn.stdout)["verdict"]
 
 
-# ---- the excitation that ffcomp plans itself -----------------------------------------------------
-
-
 # ---- what cannot be used is said -----------------------------------------------------------------
 
 

@@ -25,7 +25,7 @@ STEP_MM = 40.0 / 200  # whole steps: the host has far fewer to write than with m
 
 pytestmark = pytest.mark.kalico
 
-LINES = 5_000  # of a file: the host takes its time
+LINES = 3_000  # of a file: the host takes its time
 
 
 def motion_only(name: str) -> bytes:

@@ -164,9 +164,3 @@ def test_every_move_arrives(planned: tuple[Moves, Trajectory]) -> None:
     covered = 0.5 * (plan.start_v + plan.cruise_v) * plan.accel_t + plan.cruise_v * plan.cruise_t
     covered += 0.5 * (plan.cruise_v + plan.end_v) * plan.decel_t
     assert plan.origin + plan.direction * covered[:, None] == pytest.approx(moves.end, abs=1e-9)
-
-
-# Stops, waits, moves that go nowhere
-
-
-# What cannot be planned

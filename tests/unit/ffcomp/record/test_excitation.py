@@ -172,9 +172,6 @@ def test_a_file_moves_nothing_but_the_nozzle_and_puts_limits_back(flavor: str) -
     assert told == [True, False] * len(short().experiments)
 
 
-# The command line
-
-
 # The real host
 
 

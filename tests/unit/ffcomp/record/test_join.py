@@ -153,20 +153,14 @@ def test_a_capture_of_another_motion_is_refused(bench: Bench, tmp_path: Path) ->
     assert "does not fit the motion of ffcomp-reversals-0 below 20 Hz" in refused(bench, path)
 
 
-@pytest.mark.parametrize(
-    ("factor", "words_"),
-    [
-        (1.004, "begins|does not fit"),
-    ],
-)
-def test_a_speed_override_is_refused(bench: Bench, tmp_path: Path, factor: float, words_: str) -> None:
+def test_a_speed_override_is_refused(bench: Bench, tmp_path: Path) -> None:
     head, *rows = one(bench).read_text().splitlines()
     start = float(rows[0].split(",")[0])
-    slower = [f"{start + factor * (float(r.split(',', 1)[0]) - start):.6f},{r.split(',', 1)[1]}" for r in rows]
+    slower = [f"{start + 1.004 * (float(r.split(',', 1)[0]) - start):.6f},{r.split(',', 1)[1]}" for r in rows]
     path = tmp_path / one(bench).name
     path.write_text("\n".join([head, *slower]) + "\n")
     why = refused(bench, path)
-    assert any(word in why for word in words_.split("|")), why
+    assert "begins" in why or "does not fit" in why, why
 
 
 def test_straight_axes_are_joined_too(tmp_path: Path) -> None:

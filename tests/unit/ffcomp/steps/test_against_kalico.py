@@ -40,7 +40,7 @@ LIMITS = PlannerLimits(
 )
 EXACT_S, HOSTS_OWN_S = 1e-9, 25e-6  # how much too early the host may send a step
 STEPPERS = {"a": 0, "b": 3, "c": 6, "e": 9}  # as the host numbers them: three numbers a stepper
-LINES = 400
+LINES = 250
 START_Z_MM = kalico.START_MM[2]
 PRINTS = ("ringing_tower", "far_star")
 

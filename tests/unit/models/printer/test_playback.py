@@ -73,14 +73,7 @@ def test_what_the_printer_cannot_do_is_said() -> None:
 # ---- printer runs ----
 
 
-RUNS = (
-    "infill-centre-1",
-    "infill-front",
-    "multisine-centre-1",
-    "multisine-centre-large",
-    "multisine-left",
-    "slow-back",
-)
+RUNS = ("infill-front", "multisine-centre-large", "slow-back")
 
 
 def left_over(machine: Machine, run: Path) -> float:
