@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,13 @@ def test_the_readme_names_commands_that_exist() -> None:
 
 def test_ci_runs_the_readmes_test_command() -> None:
     assert "\nscripts/test\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_each_deliberate_fault_can_be_made_and_its_tests_exist() -> None:
+    for fault in tomllib.loads((ROOT / "scripts" / "faults.toml").read_text(encoding="utf-8"))["fault"]:
+        assert (ROOT / fault["file"]).read_text(encoding="utf-8").count(fault["old"]) == 1, fault
+        paths = [word for word in fault["tests"].split() if word.startswith("tests/")]
+        assert paths and all((ROOT / path.partition("::")[0]).exists() for path in paths), fault
 
 
 def test_every_package_has_a_test_in_each_quick_run() -> None:
