@@ -291,7 +291,9 @@ def expectation_of(machine: Machine, **numbers: Any) -> Expectation:
     sd, assumed, name = numbers["uncertainty"], numbers["assumed"], numbers["shaper_name"]
     before, after, shaper = (numbers[f"{way}_um"] for way in ("uncompensated", "compensated", "shaper"))
     better = after > TIE * shaper
-    first = "The firmware's input shaper is better here: e" if better else "E"
+    lacks = machine.input_shaper == ()
+    shaping = "An input shaper, which the firmware lacks, would be" if lacks else "The firmware's input shaper is"
+    first = f"{shaping} better here: e" if better else "E"
     headline = (
         f"{first}xpected contour error {condition_of(sd, assumed)}: {um(after)} µm rms, with the best input shaper "
         f"({name}) {um(shaper)}, without compensation {um(before)}."

@@ -72,6 +72,8 @@ def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(mac
     assert found.shaper_um > uncompensated(replace(machine, uncertainty={"default": 0.0})).shaper_um > 0.0
     numbers = {each.name: getattr(found, each.name) for each in fields(found)[:-2]} | {"compensated_um": 1.0}
     assert expectation_of(machine, **numbers).headline.startswith("Expected contour error")
+    without = expectation_of(replace(machine, input_shaper=()), **(numbers | {"compensated_um": 1e3}))
+    assert without.headline.startswith("An input shaper, which the firmware lacks, would be better here")
 
 
 def test_pieces_where_nothing_rings_do_not_tune_a_shaper(machine: Machine) -> None:
