@@ -54,7 +54,6 @@ from models.machine import Machine, value_of, with_values
 USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
 ROUGH = 0.2  # of the measurement: modes that leave more unexplained are only written on request
 DAMPING_SD = 0.2  # of the towers' damping ratio, which two modes share
-CLEAR = 0.03  # relative standard uncertainty of a frequency that a delta's file is made from
 
 Progress = Callable[[str], None]
 F = TypeVar("F", bound=MachineFit)
@@ -240,18 +239,13 @@ def _too_rough(axis: AxisFit) -> str:
 
 def _unused(axis: AxisFit, rough: bool) -> str:
     """Say why a delta's file is not made from an axis' main mode; '' if it is."""
-    frequency, left = axis.modes[0].frequency_hz, max(axis.errors)
-    if frequency.relative_sd > CLEAR:
-        return (
-            f"{axis.name} is not used for the machine file: its main mode is known to {frequency.value:.1f} ± "
-            f"{frequency.sd:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
-        )
-    if left > ROUGH and not rough:
-        return (
-            f"{axis.name} is not used for the machine file: its modes leave {100 * left:.0f} % of the measurement "
-            f"unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
-        )
-    return ""
+    left = max(axis.errors)
+    if left <= ROUGH or rough:
+        return ""
+    return (
+        f"{axis.name} is not used for the machine file: its modes leave {100 * left:.0f} % of the measurement "
+        f"unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
+    )
 
 
 def _of_towers(belts: BeltComparison | None) -> list[Resonance]:

@@ -205,7 +205,8 @@ def test_identify_fit(page: Page, folder: Path, corexy: Path) -> None:
 def _spectrum(folder: Path) -> Path:
     """As Klipper writes it: one resonance at 50 Hz over noise."""
     f = np.arange(5.0, 120.0, 1.0)
-    power = 1e4 / ((1 - (f / 50) ** 2) ** 2 + (0.1 * f / 50) ** 2) * np.random.default_rng(2).uniform(0.9, 1.1, len(f))
+    noise = np.random.default_rng(2).uniform(0.9, 1.1, len(f))
+    power = noise * 10 * f**2 / ((1 - (f / 50) ** 2) ** 2 + (0.1 * f / 50) ** 2)
     path = folder / "resonances_x_20260101.csv"
     rows = np.column_stack([f, power, 0.01 * power, 0.01 * power, 1.02 * power])
     np.savetxt(path, rows, fmt="%.6e", delimiter=",", header="freq,psd_x,psd_y,psd_z,psd_xyz", comments="")
