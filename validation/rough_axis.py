@@ -2,8 +2,8 @@
 
 Robot joints, arms, motors and pendulums as laboratories publish them: dry friction differs by direction and by place,
 and drifts as it warms; the gain has a ripple, the torque a scale and noise, the encoder digits, and other axes push.
-The controller holds its torque from sample to sample. Equations and integration (semi-implicit Euler, 50 µs) are this
-file's own.
+The controller holds its torque from sample to sample; some joints have a load on a coupling. Equations and integration
+(semi-implicit Euler, 50 µs) are this file's own.
 
     python -m validation.rough_axis SEED FOLDER         write the cases
     python -m validation.rough_axis SEED FOLDER --ask   and diagnose each; the answers beside the truth
@@ -24,30 +24,51 @@ from models.arrays import FloatArray
 STEP_S, SECONDS, RUNS = 5e-5, 10.0, ("fit-a", "fit-b", "test-c")
 DRY = ("coulomb_friction", "stribeck_friction", "bristle_friction")
 PULL = ("pendulum_gravity", "ground_spring")  # of small swings they are one
-KINDS = ("joint",) * 4 + ("arm",) * 4 + ("cogging",) * 3 + ("swing", "drag") * 2 + ("loaded", "nothing", "outside") * 2
+KINDS = (
+    ("joint",) * 4
+    + ("arm",) * 4
+    + ("cogging",) * 3
+    + ("swing", "drag") * 2
+    + ("loaded", "nothing", "outside") * 2
+    + ("soft", "gap") * 3
+)
 TRUTH = {"joint": DRY, "arm": PULL, "cogging": ("cogging_force",), "swing": DRY, "drag": ("quadratic_drag",)}
 TRUTH |= {"loaded": ("friction_by_load",), "nothing": (), "outside": ()}
+TRUTH |= {"soft": ("belt_stiffness",), "gap": ("belt_backlash",)}  # of the coupling to a load
 
 
 @njit(cache=True)
-def _run(ref: FloatArray, push: FloatArray, dt: float, begin: float, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return torque and angle at every sample, (n,) each; `ref` : (n, 3) angle, speed and acceleration asked for."""
-    inertia, viscous, dry, extra, creep, fading, uneven, drift, by_place, weight, lines, line, drag, load = p[:14]
+def _run(
+    ref: FloatArray, push: FloatArray, dt: float, begin: float, p: FloatArray, load: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return torque and angles of motor and load at every sample, (n,) each.
+
+    ref : (n, 3) angle, speed and acceleration asked for.
+    load : inertia, stiffness, damping and play of its coupling; the first is 0 without one.
+    """
+    inertia, viscous, dry, extra, creep, fading, uneven, drift, by_place, weight, lines, line, drag, share = p[:14]
     stiff, damp, ahead, ripple = p[14:]
     n, substeps = len(ref), round(dt / STEP_S)
-    torques, angles, q, v = np.zeros(n), np.zeros(n), begin, 0.0
+    torques, angles, ends, q, v, end, w = np.zeros(n), np.zeros(n), np.zeros(n), begin, 0.0, begin, 0.0
     for i in range(n):
         torque = ahead * ref[i, 2] + stiff * (ref[i, 0] - q) + damp * (ref[i, 1] - v)
-        torques[i], angles[i] = torque, q
+        torques[i], angles[i], ends[i] = torque, q, end
         for _ in range(substeps):
             acting = torque * (1.0 + ripple * np.sin(40.0 * q))
             level = (dry + extra * np.exp(-((v / fading) ** 2))) * (1.0 + drift * i / n)
-            level = level * (1.0 + by_place * np.sin(5.0 * q)) + load * abs(acting)
+            level = level * (1.0 + by_place * np.sin(5.0 * q)) + share * abs(acting)
             friction = level * np.tanh(v / creep) * (1.0 + uneven * np.sign(v))
             held = weight * np.sin(q) + lines * np.sin(line * q) + push[i]
+            if load[0] > 0.0:
+                twist = q - end
+                stretch = np.sign(twist) * max(abs(twist) - 0.5 * load[3], 0.0)
+                pull = load[1] * stretch + (load[2] * (v - w) if stretch != 0.0 else 0.0)
+                held += pull
+                w += STEP_S * pull / load[0]
+                end += STEP_S * w
             v += STEP_S * (acting - friction - viscous * v - drag * v * abs(v) - held) / inertia
             q += STEP_S * v
-    return torques, angles
+    return torques, angles, ends
 
 
 def _asked(rng: np.random.Generator, dt: float, swing: float, hertz: float) -> FloatArray:
@@ -58,6 +79,22 @@ def _asked(rng: np.random.Generator, dt: float, swing: float, hertz: float) -> F
     q *= swing / np.abs(q).max() * np.sin(np.pi * np.clip(t, 0.0, 0.5)) ** 2
     v = np.gradient(q, dt)
     return np.column_stack([q, v, np.gradient(v, dt)])
+
+
+def _load(rng: np.random.Generator, kind: str, inertia: float, force: float) -> tuple[FloatArray, dict[str, float]]:
+    """Return a load as `_run` takes it, and what the machine file says of it."""
+    if kind not in ("soft", "gap"):
+        return np.zeros(4), {}
+    load, omega = inertia * rng.uniform(0.3, 0.8), 2 * np.pi * rng.uniform(8, 18)
+    stiffness, damping = load * omega**2, 0.08 * load * omega
+    play = rng.uniform(0.06, 0.24) * force / stiffness if kind == "gap" else 0.0
+    wrong = rng.choice([1.5, 0.65]) if kind == "soft" else np.exp(0.02 * rng.normal())
+    told = {
+        "load_inertia_kg_m2": load * np.exp(0.03 * rng.normal()),
+        "coupling_stiffness_n_m_per_rad": stiffness * wrong,
+        "coupling_damping_n_m_s_per_rad": damping * np.exp(0.3 * rng.normal()),
+    }
+    return np.array([load, stiffness, damping, play]), told
 
 
 def write_case(seed: int, kind: str, folder: Path) -> None:
@@ -105,6 +142,7 @@ def write_case(seed: int, kind: str, folder: Path) -> None:
             ),
         ]
     )
+    load, coupled = _load(np.random.default_rng([seed, 978]), kind, inertia, force)
     folder.mkdir(parents=True, exist_ok=True)
     digit, noise, scale = between(2e-5, 3e-4) * swing, between(0.002, 0.02) * force, between(0.97, 1.03)
     for name in RUNS:
@@ -112,22 +150,31 @@ def write_case(seed: int, kind: str, folder: Path) -> None:
         push = 0.0 * t if free else between(0, 0.03) * force * np.sin(2 * np.pi * between(0.3, 1.5) * t)
         if kind == "outside":  # a push that depends on time and direction together
             push += 0.3 * force * np.sin(19.5 * t) * np.sign(ref[:, 1])
-        torque, q = _run(ref, push, dt, between(0.6, 1.6) if free else float(ref[0, 0]), p)
+        torque, q, end = _run(ref, push, dt, between(0.6, 1.6) if free else float(ref[0, 0]), p, load)
         told = torque if free else scale * torque + noise * rng.normal(size=len(t))
         q = np.round((q + 0.3 * digit * rng.normal(size=len(t))) / digit) * digit
-        head = "t_s,torque_n_m,pos_q_rad"
-        np.savetxt(
-            folder / f"{name}.csv", np.column_stack([t, told, q]), fmt="%.8g", delimiter=",", header=head, comments=""
-        )
+        columns, head = [t, told, q], "t_s,torque_n_m,pos_q_rad"
+        if coupled:
+            end = np.round((end + 0.3 * digit * rng.normal(size=len(t))) / digit) * digit
+            columns, head = [*columns, end], "t_s,torque_n_m,pos_motor_rad,pos_q_rad"
+        table = np.column_stack(columns)
+        np.savetxt(folder / f"{name}.csv", table, fmt="%.8g", delimiter=",", header=head, comments="")
     known = {"pendulum_gravity": weight} if free or kind == "loaded" else {}
-    known |= {"coulomb_friction": dry * between(0.95, 1.05)} if kind in ("cogging", "nothing", "outside") else {}
+    known |= (
+        {"coulomb_friction": dry * between(0.95, 1.05)}
+        if kind in ("cogging", "nothing", "outside", "soft", "gap")
+        else {}
+    )
     off = 0.02 if free else 0.2
     (folder / "machine.toml").write_text(
         f'format = "ffcomp-machine/1"\nname = "{folder.name}"\n\n[kinematics]\ntype = "axis"\n\n'
         f'[axis]\nunit = "rad"\ninput = "force"\ninertia_kg_m2 = {inertia * np.exp(off * rng.normal()):.5g}\n'
-        f"stiffness_n_m_per_rad = 0.0\ndamping_n_m_s_per_rad = {viscous * np.exp(0.3 * rng.normal()):.5g}\n\n"
+        f"stiffness_n_m_per_rad = 0.0\ndamping_n_m_s_per_rad = {viscous * np.exp(0.3 * rng.normal()):.5g}\n"
+        + "".join(f"{name} = {x:.5g}\n" for name, x in coupled.items())
+        + "\n"
         + "".join(f"[effects.{name}]\ntorque_n_m = {x:.5g}\n\n" for name, x in known.items())
         + f'[uncertainty]\n"axis.inertia_kg_m2" = {0.05 if free else 0.5}\n"axis.damping_n_m_s_per_rad" = 1.0\n'
+        + "".join(f'"axis.{name}" = {0.5 if "damping" in name else 0.05}\n' for name in coupled)
     )
     (folder / "truth.json").write_text(json.dumps({"kind": kind, "right": TRUTH[kind], "numbers": p.tolist()}))
 
