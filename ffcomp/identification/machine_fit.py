@@ -260,7 +260,7 @@ class ScanFit(MachineFit):
     @property
     def noise_um(self) -> float:
         """Roughness of the typical line."""
-        return float(1e3 * np.median([line.noise_mm for line in self.result.lines]))
+        return 1e3 * self.result.rough_mm
 
     @property
     def headline(self) -> str:

@@ -21,7 +21,7 @@ from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.machine import Machine
 
-SECOND_MODE = 1.15  # times the expected ring
+SECOND_MODE = 1.1  # times the expected ring
 FAR = 2.5  # of a prior's standard deviations
 USUAL_S = (4.0, 4.0, 12.0)  # of CPU: reading, where to begin, the fit
 
@@ -65,7 +65,7 @@ def _checked(start: Machine, plan: Plan, request: ScanRequest) -> Page:
 
 
 def _advice(start: Machine, result: PageFit) -> list[str]:
-    sentences = []
+    sentences = list(result.doubts)
     if start.vibration.position_dependent:
         sentences.append(
             f"A picture shows ratios of masses, stiffnesses and dampings, not their scale: {SCALE} stayed as it was. "

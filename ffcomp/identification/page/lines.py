@@ -37,7 +37,6 @@ class ReadLine:
     line: Line
     s_mm: FloatArray  # (n,) from the line's foot
     across_mm: FloatArray  # (n,) to the left of its direction, against the slow line beside it
-    noise_mm: float  # standard deviation of a place, by the roughness of line and slow line
     picture: str
 
 
@@ -144,15 +143,7 @@ def _read(sight: Sight, stroke: Experiment, slow: Experiment) -> ReadLine | None
     smooth = savgol_filter(theirs, window, 2)
     shift = _row_shift(sight, line, twin)
     beside = np.interp(s + shift, s, smooth)
-    noise = max(_roughness(ours, np.interp(s + shift, s, theirs), 4 * window + 1), 5e-4)
-    return ReadLine(stroke, line, s, ours - beside, noise, sight.picture.path)
-
-
-def _roughness(ours: FloatArray, theirs: FloatArray, window: int) -> float:
-    """Return the noise of a place, mm: of the slow line or, without a scanner's wobble, of both lines' calm ends."""
-    calm = (ours - theirs)[round(CALM_SHARE * len(ours)) :]
-    rough = [each - savgol_filter(each, window, 3) for each in (theirs, calm / np.sqrt(2))]
-    return min(1.4826 * float(np.median(np.abs(each - np.median(each)))) for each in rough)
+    return ReadLine(stroke, line, s, ours - beside, sight.picture.path)
 
 
 def _row_shift(sight: Sight, line: Line, twin: Line) -> float:
