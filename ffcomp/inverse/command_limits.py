@@ -94,8 +94,7 @@ def utilisation_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatA
 
 def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
     """Return the peak demand over its limit of a command (n + 1, 3) mm from rest to rest; up to 1 is allowed."""
-    velocity, height = _demand(np.ascontiguousarray(vertices), limits.rows, limits.segment_s)
-    return float(_peak(velocity, height, *limits.scales))
+    return float(utilisation_from_rest(vertices, limits).max())
 
 
 @kernel
@@ -113,30 +112,6 @@ def _utilisation(
                 before = velocity[k - 1, i]
                 utilisation[k, ACCELERATION, i] = max(abs(v[0] - before[0]), abs(v[1] - before[1])) / change
     return utilisation
-
-
-@kernel
-def _peak(
-    velocity: FloatArray, height: FloatArray, most: FloatArray, change: float, middle: float, half: float
-) -> float:
-    """Return the maximum of `_utilisation` by a command that rests before and after; NaN where one is."""
-    peak, n = 0.0, len(velocity)
-    for i in range(3):
-        before0 = before1 = 0.0
-        for k in range(n + 1):
-            v0, v1 = (velocity[k, i, 0], velocity[k, i, 1]) if k < n else (0.0, 0.0)
-            demands = max(abs(v0), abs(v1)) / most[i], max(abs(v0 - before0), abs(v1 - before1)) / change
-            before0, before1 = v0, v1
-            for demand in demands:
-                if not demand <= peak:
-                    peak = demand
-            if k < n:
-                demand = max(abs(height[k, i, 0] - middle), abs(height[k, i, 1] - middle)) / half
-                if not demand <= peak:
-                    peak = demand
-            if peak != peak:
-                return peak
-    return peak
 
 
 @kernel

@@ -97,10 +97,9 @@ class FrictionBacklash:
     def __init__(self, model: InverseModel, printer: Machine) -> None:
         s = model.settings
         self._model, self._numbers, self._row_s = model, printer_parameters(printer), s.segment_s / s.substeps
-        self._undriven = replace(model.machine, vibration=model.machine.vibration.undriven())
-        self._belts = Schedule(
-            self._undriven.kinematics, plant_table(self._undriven.kinematics, self._undriven.vibration, self._row_s)
-        )
+        undriven = model.machine.vibration.undriven()
+        table = plant_table(model.machine.kinematics, undriven, self._row_s)
+        self._belts = Schedule(model.machine.kinematics, table)
 
     @property
     def crosses(self) -> bool:
@@ -112,13 +111,24 @@ class FrictionBacklash:
 
         stretch : (rows, 3) mm, of the belts at the section's substeps, without these effects; its last row stays
         """
-        answer = _Answer(self._model, iterate)
-        e = self._beyond(answer.q, stretch)
-        demand = answer.of(self._belts, e - e[0], self._undriven.equilibrium(answer.nozzle[0]))
-        begin, gamma = self._model.machine.equilibrium(answer.nozzle[0]), np.zeros_like(iterate.gamma)
+        s, kinematics = self._model.settings, self._model.kinematics
+        nozzle, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
+        e = self._beyond(kinematics.inverse(nozzle), stretch)
+        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2])
+        rows = slice(s.substeps // s.rows_per_segment - 1, None, s.substeps // s.rows_per_segment)
+        jacobian = self._model.machine.kinematics.jacobian(nozzle[1:, :2][rows])
+        knots, t = np.arange(len(iterate.gamma)), np.arange(len(nozzle)) / s.substeps
+
+        def carriages(plant: Schedule, added: FloatArray) -> FloatArray:
+            """Return what a linear plant makes of an addition to the command, (m + 1, 3) mm."""
+            rest = np.zeros(plant.table.plant.a.shape[1])
+            return plant.play(place, np.zeros_like(added), added, rest, s.substeps)[0][rows]
+
+        demand, gamma = carriages(self._belts, e - e[0]), np.zeros_like(iterate.gamma)
         for _ in range(SWEEPS):
-            left = demand - answer.of(self._model.plant, answer.along(gamma), begin)
-            gamma += answer.sweep(left)
+            done = carriages(self._model.plant, np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1))
+            left = np.einsum("nij,nj->ni", jacobian, demand - done)
+            gamma += fast.answer(iterate, np.zeros_like(gamma), left)
         return gamma
 
     def _beyond(self, q: FloatArray, stretch: FloatArray) -> FloatArray:
@@ -127,32 +137,6 @@ class FrictionBacklash:
         more = 1e3 * guide_friction(n, q / 1e3, self._row_s) / n.belt_k
         padded = stretch[np.minimum(np.arange(len(q)), len(stretch) - 1)]
         return np.asarray(more + 1e3 * n.half_backlash * np.clip((padded + more) / BACKLASH_SMOOTHING_MM, -1.0, 1.0))
-
-
-class _Answer:
-    """The linear plant's response to something added to a section's reference."""
-
-    def __init__(self, model: InverseModel, iterate: Iterate) -> None:
-        self._model, self._iterate = model, iterate
-        self.nozzle, self._velocity = iterate.reference.substeps(0, iterate.last + REST_ROWS)
-        self.q = model.kinematics.inverse(self.nozzle)
-
-    def of(self, plant: Schedule, added: FloatArray, begin: FloatArray) -> FloatArray:
-        """Return the nozzle's response, (m, 3) mm after every substep, to added carriage commands (m + 1, 3) mm."""
-        forward, substeps = self._model.kinematics.forward, self._model.settings.substeps
-        moved, still = (plant.respond(forward(q), self._velocity, begin, substeps)[0] for q in (self.q + added, self.q))
-        return moved - still
-
-    def along(self, gamma: FloatArray) -> FloatArray:
-        """Return the coefficients at every substep, (m + 1, 3) mm."""
-        knots, t = np.arange(len(gamma)), np.arange(len(self.q)) / self._model.settings.substeps
-        return np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1)
-
-    def sweep(self, left: FloatArray) -> FloatArray:
-        """Return the inverse's answer γ (n + 1, 3) mm to the error that is left, by itself."""
-        s = self._model.settings
-        stride = s.substeps // s.rows_per_segment
-        return fast.answer(self._iterate, np.zeros_like(self._iterate.gamma), left[stride - 1 :: stride])
 
 
 def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatArray:
