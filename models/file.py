@@ -13,16 +13,14 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tomlkit
 
-from models.arrays import FloatArray
-from models.effects.catalogue import design_machine, key_in_file
+from models.effects.catalogue import key_in_file
 from models.errors import MachineFileError
 from models.finding import LIBRARY as LIBRARY
 from models.finding import machine_paths as machine_paths
@@ -216,49 +214,3 @@ def updated_text(
         for key, value in (entries_ or {}).items():
             table[key if key in table else quantities.key(key)] = value
     return tomlkit.dumps(document)
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One key; None where a file does not have it."""
-
-    key: str  # `table.key`
-    old: Any  # number or text or list of numbers or null [`unit`]: null: new
-    new: Any  # number or text or list of numbers or null [`unit`]: null: removed
-    unit: str
-    relative: tuple[float, ...]  # change over the old value; empty where that means nothing
-    provenance: str  # of the new value
-
-
-def differences(old: Sequence[Entry], new: Sequence[Entry]) -> Iterator[Difference]:
-    """Every changed value in the order of the new file; removed ones last."""
-    before = {entry.key: entry for entry in old}
-    for entry in new:
-        was = before.pop(entry.key, None)
-        if was is None or was.value != entry.value:
-            value = None if was is None else was.value
-            yield Difference(entry.key, value, entry.value, entry.unit, _relative(value, entry.value), entry.provenance)
-    for entry in before.values():
-        yield Difference(entry.key, entry.value, None, entry.unit, (), "")
-
-
-def _relative(old: Any, new: Any) -> tuple[float, ...]:
-    try:
-        before, after = (np.atleast_1d(np.array(value, dtype=float)) for value in (old, new))
-    except (TypeError, ValueError):
-        return ()
-    if before.shape != after.shape or not np.all(np.isfinite(before)) or np.any(before == 0):
-        return ()
-    return tuple(float(change) for change in after / before - 1)
-
-
-def mode_changes(old: Machine, new: Machine) -> FloatArray:
-    """Natural frequencies at the bed's middle, slowest first, with the effects that the linear model includes.
-
-    Returns
-    -------
-    (k, 2) Hz, columns old and new; k = 6 unless a mode is overdamped in one of them.
-    """
-    frequencies = [design_machine(machine)[0].vibration.modes_at(np.zeros(2)).frequencies_hz for machine in (old, new)]
-    count = min(map(len, frequencies))
-    return np.stack([each[:count] for each in frequencies], axis=1)

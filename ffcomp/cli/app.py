@@ -30,7 +30,7 @@ VERBS = {  # with the first sentence of each, so that `ffcomp --help` need not i
     "diagnose": "Find the physical effect that the machine file lacks, and its size.",
     "identify": "Identify a machine file's parameters from measurements.",
     "record": "Record the printer's vibrations with its own accelerometer.",
-    "machines": "List, show, check, create and compare machine files.",
+    "machines": "List, show, check and create machine files.",
     "integrations": "Use ffcomp from your slicer or your printer's host.",
     "serve": "Serve a page to drop prints on, in the browser, on this computer.",
     "warmup": "Compile the numerical code once, so that the first print need not wait.",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from models.arrays import FloatArray
     from models.checks import Extreme, PhysicsChecks
     from models.errors import MachineFileError
-    from models.file import Difference, Entry
+    from models.file import Entry
     from models.finding import NamedMachine
     from models.machine import Machine
 
@@ -278,74 +278,12 @@ def _number(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-# -- diff --
-
-
-@dataclass(frozen=True)
-class DiffMachinesRequest(Request):
-    """Two machine files to compare."""
-
-    old: Annotated[str, Argument("A machine's name or the path of its file.", metavar="OLD")]
-    new: Annotated[str, Argument("The machine to compare it with.", metavar="NEW")]
-
-
-@verb
-def diff_machines(request: DiffMachinesRequest) -> Result:
-    """Show the parameters that differ between two machine files, and both sets of natural frequencies.
-
-    Example: ffcomp machines diff my-delta.toml better.toml
-    """
-    from models.file import differences, entries, load_machine, mode_changes
-
-    old, new = load_machine(request.old), load_machine(request.new)
-    changes = list(differences(entries(Path(old.path)), entries(Path(new.path))))
-    return MachineDifference(old, new, changes, mode_changes(old, new).tolist())
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MachineDifference(Result):
-    """What differs between two machine files."""
-
-    title = "Two machine files"
-    schema = "ffcomp-machine-diff/1"
-    json_keys: ClassVar = keys("old", "new", "changes", "frequencies_hz")
-
-    old: Machine
-    new: Machine
-    changes: Sequence[Difference]
-    frequencies_hz: Sequence[Sequence[float]]  # pairs, in the middle of the bed
-
-    @property
-    def headline(self) -> str:
-        """How many parameters differ."""
-        if not self.changes:
-            return "The two files describe the same machine."
-        return f"{len(self.changes)} parameters differ."
-
-    @property
-    def facts(self) -> list[Fact]:
-        """Each of them, and the natural frequencies."""
-        facts = []
-        for each in self.changes:
-            change = ", ".join(f"{relative:+.1%}" for relative in each.relative)
-            note = f", {each.provenance}" if each.provenance not in ("", "default") else ""
-            text = f"{_or_nothing(each.old)} → {_or_nothing(each.new)} {each.unit}".rstrip()
-            facts.append((each.key, f"{text}{f' ({change})' if change else ''}{note}"))
-        modes = ", ".join(f"{before:.1f} → {after:.1f}" for before, after in self.frequencies_hz)
-        return [*facts, ("Natural frequencies at 0, 0, Hz", modes)] if facts else []
-
-
-def _or_nothing(value: object) -> str:
-    return "nothing" if value is None else str(value)
-
-
 machines = group(
     "machines",
-    "List, show, check, create and compare machine files.",
+    "List, show, check and create machine files.",
     list_machines,
     show_machine,
     check_machine,
     new_machine,
     import_machine,
-    diff_machines,
 )

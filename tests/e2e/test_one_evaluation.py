@@ -99,7 +99,6 @@ VERBS = [  # in this order: a verb may read what an earlier one wrote
     "machines list",
     "machines show ender-3",
     "machines check mp-delta-pro-as-printed",
-    "machines diff mp-delta-pro kossel",
     "machines import printer.cfg -o imported.toml",
     "restore out.gcode -o again.gcode",
 ]
