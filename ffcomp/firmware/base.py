@@ -20,7 +20,8 @@ from gcode.dialect import DIALECTS
 from gcode.dialects import limit_lines
 from gcode.program import LimitCommand, ModalState, MotionLimits, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
-from models.machine import Machine
+from models.machine import Machine, MarlinSettings, RepRapFirmwareSettings
+from models.machine import MotionLimits as NozzleLimits
 
 Inside = Callable[[FloatArray], BoolArray]  # which points (n, 3) mm the firmware accepts
 
@@ -53,9 +54,16 @@ class AxisLimits(NamedTuple):
     jerk: Sequence[float]  # (4,) mm/s
 
     @classmethod
-    def even(cls, speed: float, acceleration: float, corner: float) -> AxisLimits:
-        """Return the same limits for every axis: mm/s, mm/s², mm/s."""
-        return cls((acceleration,) * 4, (speed,) * 4, acceleration, acceleration, (corner,) * 4)
+    def even(cls, limits: SegmentLimits | NozzleLimits) -> AxisLimits:
+        """Return the same limits for every axis."""
+        a, corner = limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
+        return cls((a,) * 4, (limits.velocity_mm_per_s,) * 4, a, a, (corner,) * 4)
+
+    @classmethod
+    def of(cls, s: MarlinSettings | RepRapFirmwareSettings) -> AxisLimits:
+        """Return those of a planner's settings."""
+        accelerations = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
+        return cls(s.acceleration_mm_per_s2, s.speed_mm_per_s, *accelerations, s.jerk_mm_per_s)
 
     def commands(self, jerk: str, axes: str, jerk_axes: str, filament: Container[str] = ()) -> list[LimitCommand]:
         """Return the commands that set them.
@@ -109,10 +117,7 @@ class Firmware(Protocol):
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return the lines that raise the limits for our segments."""
-        limits = AxisLimits.even(
-            raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
-        )
-        return limit_lines(self.flavor, self._by_axes(limits, raised), file.unit_mm)
+        return limit_lines(self.flavor, self._by_axes(AxisLimits.even(raised), raised), file.unit_mm)
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return the lines that restore the machine's limits of the raised axes, then the file's own."""
@@ -121,10 +126,7 @@ class Firmware(Protocol):
 
     def own_limits(self, machine: Machine) -> AxisLimits:
         """Return the limits in force before a print."""
-        limits = machine.limits
-        return AxisLimits.even(
-            limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
-        )
+        return AxisLimits.even(machine.limits)
 
     def _by_axes(self, limits: AxisLimits, raised: SegmentLimits) -> list[LimitCommand]:
         code, axes = DIALECTS[self.flavor].jerk

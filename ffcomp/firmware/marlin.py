@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ffcomp.firmware.base import FileLimits, Firmware, Segments
-from ffcomp.firmware.marlin_planner import MarlinPlanner, cut_moves, planner_of
+from ffcomp.firmware.marlin_planner import MarlinPlanner, cut_moves, on_delta, planner_of
 from ffcomp.firmware.marlin_segments import MarlinLimits, MarlinSegments
 from ffcomp.firmware.settings_in_force import assumed_sentence
 from ffcomp.inverse.model import InverseModel
@@ -13,7 +13,6 @@ from ffcomp.planner.segment_timing import SegmentLimits
 from gcode.dialect import MARLIN
 from gcode.dialects import limit_lines
 from gcode.program import Program
-from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
 
 PART_S = 300.0  # a delta's lines are cut by time: a megabyte of slow text becomes millions of pieces
@@ -50,7 +49,7 @@ class Marlin(Firmware):
 
     def longest_part_s(self, machine: Machine) -> float:
         """Return PART_S on deltas."""
-        return PART_S if isinstance(machine.kinematics, DeltaKinematics) else inf
+        return PART_S if on_delta(machine) else inf
 
     def assumed(self, machine: Machine) -> str:
         """Say which settings that matter are Marlin's defaults."""

@@ -60,9 +60,14 @@ EVEN_MM = 1e-4  # between the pieces of a line that is no arc
 LOW_JERK = 0.25  # of x's and y's: below it a tower's jerk was meant for a lead screw
 
 
+def on_delta(machine: Machine) -> bool:
+    """Whether the motors are those of a delta's towers."""
+    return isinstance(machine.kinematics, DeltaKinematics)
+
+
 def marlin_settings(machine: Machine) -> MarlinSettings:
     """Return the planner's settings, Marlin's defaults where the machine file states none."""
-    return machine.marlin or MarlinSettings.within(machine.limits, isinstance(machine.kinematics, DeltaKinematics))
+    return machine.marlin or MarlinSettings.within(machine.limits, on_delta(machine))
 
 
 def planner_of(program: Program, machine: Machine, within: bool = False) -> MarlinPlanner:
@@ -108,7 +113,7 @@ class MarlinPlanner:
         start = np.full((len(first), 4), np.nan)
         start[jumps] = self._motors(moves.start[first[jumps]], shift[first[jumps]])
         begun = np.concatenate([[0], np.cumsum(rests)])
-        by_motors = not (self._delta or self.machine.kinematics.shares_motors)
+        by_motors = not (on_delta(self.machine) or self.machine.kinematics.shares_motors)
         length = np.where((chords.length == 0.0) | by_motors, np.nan, chords.length)
         targets = Targets(
             start,
@@ -121,16 +126,12 @@ class MarlinPlanner:
             self.in_force.at(moves)[last],
         )
         s = self.settings
-        slowdown = s.slowdown and not self._delta and not self.within
+        slowdown = s.slowdown and not on_delta(self.machine) and not self.within
         return plan_blocks(targets, s.minimum_steps_per_segment, slowdown), last
-
-    @property
-    def _delta(self) -> bool:
-        return isinstance(self.machine.kinematics, DeltaKinematics)
 
     def _reached(self, moves: Moves) -> FloatArray:
         """Where each move ends, (n, 4) mm: a delta sums the pieces of a line in single precision."""
-        return _summed(moves.line, moves.start, moves.end) if self._delta else moves.end
+        return _summed(moves.line, moves.start, moves.end) if on_delta(self.machine) else moves.end
 
     def _filament_shift(self, moves: Moves) -> FloatArray:
         """Return by how much Marlin's filament is off the moves', (n,) mm: after G92 E it counts on from a step."""
@@ -282,14 +283,14 @@ def cut_moves(program: Program, machine: Machine) -> Program:
     moves = program.moves
     if not len(moves):
         return program
-    if isinstance(machine.kinematics, DeltaKinematics) and (warning := _low_jerk_warning(program, machine)):
+    if on_delta(machine) and (warning := _low_jerk_warning(program, machine)):
         program = replace(program, warnings=[*program.warnings, warning])
     speed = np.array([frame.feed_mm_per_s for frame in program.frames])[moves.frame]  # M203 caps whole steps, later
     moves = replace(moves, speed=speed)
     change = (moves.end - moves.start)[:, :3]
     mm = np.linalg.norm(change, axis=1)
     count = np.ones(len(moves), dtype=np.int64)
-    if isinstance(machine.kinematics, DeltaKinematics):
+    if on_delta(machine):
         aside = np.any(change[:, :2] != 0.0, axis=1)
         per_s = marlin_settings(machine).segments_per_second
         count[aside] = np.maximum((per_s * mm / moves.speed)[aside].astype(np.int64), 1)

@@ -15,7 +15,7 @@ from functools import reduce
 import numpy as np
 
 from ffcomp.firmware.base import AxisLimits, Filament, FilamentCount, FileLimits, Firmware, Inside, Segments
-from ffcomp.firmware.marlin_planner import extruder_steps_per_mm, marlin_settings, settings_row
+from ffcomp.firmware.marlin_planner import extruder_steps_per_mm, marlin_settings, on_delta, settings_row
 from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import row_after
 from ffcomp.firmware.whole_steps import WholeSteps
@@ -25,7 +25,6 @@ from gcode.program import LimitCommand, ModalState
 from gcode.words import commands
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
-from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
 AROUND = 4  # segments on either side of one that is too short: they are chosen again with it
@@ -51,17 +50,12 @@ class MarlinLimits:
         """The planner's settings."""
         return marlin_settings(self.machine)
 
-    @property
-    def _delta(self) -> bool:
-        return isinstance(self.machine.kinematics, DeltaKinematics)
-
     def opening(self, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
         """Return what raises the limits.
 
         commands : the file's own in effect
         """
-        o = self.raised
-        limits = AxisLimits.even(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
+        limits = AxisLimits.even(self.raised)
         # E's jerk, so that steps that come and go slow nothing: little enough for a retraction
         flicker = round(FLICKER_STEPS / (FLICKER_S * extruder_steps_per_mm(self.machine)), 2)
         limits = limits._replace(jerk=(*limits.jerk[:3], max(self.settings.jerk_mm_per_s[3], flicker)))
@@ -70,25 +64,25 @@ class MarlinLimits:
     def closing(self, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
         """Return what restores the limits that `opening` raises, the file's own last."""
         s = self.settings
-        accelerations = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
-        own = AxisLimits(s.acceleration_mm_per_s2, s.speed_mm_per_s, *accelerations, s.jerk_mm_per_s)
         deviation_mm = s.junction_deviation_mm or LONGEST_DEVIATION_MM
-        return [*self._commands(own, self._filament({}), deviation_mm, s.shortest_segment_s), *commands.values()]
+        return [
+            *self._commands(AxisLimits.of(s), self._filament({}), deviation_mm, s.shortest_segment_s),
+            *commands.values(),
+        ]
 
     def _filament(self, commands: Mapping[str, LimitCommand]) -> set[str]:
         """Return the commands whose limits of the filament are known, and so can be restored."""
-        keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
-        in_file = {code for code, command in commands.items() if "E" in command.words}
-        return {code for code, key in keys.items() if code in in_file or key in self.settings.stated}
+        keys, stated = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}, self.settings.stated
+        return {c for c, key in keys.items() if key in stated or (c in commands and "E" in commands[c].words)}
 
     def _commands(
         self, limits: AxisLimits, filament: set[str], deviation_mm: float, shortest_s: float
     ) -> list[LimitCommand]:
         """Return the limits of the axes that may be raised; filament : commands that also set those of E."""
-        axes, settings = self.raised.raised_axes, self.settings
-        *others, jerk = limits.commands("M205", axes, axes if self._delta else axes.replace("Z", ""), filament)
+        axes, settings, delta = self.raised.raised_axes, self.settings, on_delta(self.machine)
+        *others, jerk = limits.commands("M205", axes, axes if delta else axes.replace("Z", ""), filament)
         words = {"J": deviation_mm} if "junction_deviation_mm" in settings.stated else dict(jerk.words)
-        if settings.slowdown and not self._delta:
+        if settings.slowdown and not delta:
             words["B"] = 1e6 * shortest_s
         return [*others, LimitCommand("M205", words)]
 
@@ -157,7 +151,7 @@ class MarlinSegments(Segments):
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        by_motors = not (self._delta or self.machine.kinematics.shares_motors)
+        by_motors = not (on_delta(self.machine) or self.machine.kinematics.shares_motors)
         mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
         meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
         feed = meant.copy()
@@ -196,11 +190,7 @@ class MarlinSegments(Segments):
         Where even a knot is longer, segments are cut, and any length will do.
         """
         whole_s = WHOLE_S * 2.0 / self.settings.segments_per_second
-        return whole_s if self._delta and whole_s >= self.knot_s else np.inf
-
-    @property
-    def _delta(self) -> bool:
-        return isinstance(self.machine.kinematics, DeltaKinematics)
+        return whole_s if on_delta(self.machine) and whole_s >= self.knot_s else np.inf
 
 
 class MarlinFilamentCount(FilamentCount):

@@ -102,9 +102,7 @@ class RepRapFirmware(Firmware):
 
     def own_limits(self, machine: Machine) -> AxisLimits:
         """Return the planner's settings."""
-        s = reprapfirmware_settings(machine)
-        accelerations = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
-        return AxisLimits(s.acceleration_mm_per_s2, s.speed_mm_per_s, *accelerations, s.jerk_mm_per_s)
+        return AxisLimits.of(reprapfirmware_settings(machine))
 
 
 def sharing_of(machine: Machine) -> int:
