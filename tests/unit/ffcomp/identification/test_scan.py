@@ -112,7 +112,7 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
         assert f.value == pytest.approx(frequency, rel=0.025)
         assert abs(np.log(d.value / damping)) < 0.35
         assert abs(f.value - frequency) < 3 * f.sd < 0.05 * frequency
-        assert abs(np.log(d.value / damping)) < 3 * d.relative_sd < 0.7
+        assert abs(np.log(d.value / damping)) < 3 * d.relative_sd < 0.9  # of a quarter of a page
         assert written.vibration.value(f"axes.{name}.frequency_hz[0]") == pytest.approx(f.value, rel=1e-3)
         assert written.uncertainty[f"axes.{name}.frequency_hz"] < 0.02
     rubbing, dry = written.effects["coulomb_friction"], fit.result.bead["friction_b"]
