@@ -127,13 +127,13 @@ def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:
         chosen.append(min(trials)[1])
     keep = sorted(chosen)
     z = np.asarray(solved((prior + normal)[np.ix_(keep, keep)], slope[keep]))
-    parameters, renew = (
-        [h.fit.parameters[i] for i in keep],
-        range(len(keep)) if len(keep) <= RENEWED else (),
-    )
+    parameters, renew = [h.fit.parameters[i] for i in keep], range(len(keep)) if len(keep) <= RENEWED else ()
     fitted = fit(estimation, parameters, z, h.fit.jacobian[:, keep], renew, iterations=4)
     # where the file is far off, the response is nonlinear: then keep the fit of all parameters
-    return fitted if fitted.cost - h.fit.cost < estimation.settings.significant * scale * (machine + 1) else h.fit
+    settings, lost = estimation.settings, fitted.cost - h.fit.cost
+    most = settings.reshaped_share * max(h.discrepancy, 0.0) + settings.exists
+    same = lost < settings.significant * scale * (machine + 1) and lost < most * len(fitted.residual)
+    return fitted if same else h.fit
 
 
 # ---- excerpts ------------------------------------------------------------------------------------
