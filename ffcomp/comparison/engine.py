@@ -39,7 +39,7 @@ from ffcomp.compensation.job import Options
 from ffcomp.errors import RequestError
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
-from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for, settings_of_inverse
+from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
 from ffcomp.simulation.expectation import EXCERPT_S, Expectation, expectation, pieces_of
 from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast
@@ -90,7 +90,7 @@ def compare(
     tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
-    predicted = _predicted(printed, settings_of_inverse(settings, choice.robust)) if predict else NO_FORECAST
+    predicted = _predicted(printed, replace(settings, robust=choice.robust)) if predict else NO_FORECAST
     evaluated = _evaluated(tuned, slices, plant, printed.labels.features, progress)
     if quality_um:
         p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}

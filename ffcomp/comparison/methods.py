@@ -17,7 +17,7 @@ from ffcomp.compensation.program import compensated_sections
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.settings import Settings, settings_of_inverse
+from ffcomp.inverse.settings import Settings
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.shapers.smooth import USUAL
@@ -167,7 +167,7 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
         f"The machine file's model {model}; {1 / settings.segment_s:.0f} segments/s at most, bandwidth "
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
-    inverse_model = InverseModel(machine, settings_of_inverse(replace(settings, one_model=one_model), robust))
+    inverse_model = InverseModel(machine, replace(settings, one_model=one_model, robust=robust))
 
     def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
         file = compensated(s.planned, inverse_model, s.flavor, s.offset)

@@ -34,7 +34,7 @@ from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.feasible import scale_around_cut
 from ffcomp.inverse.model import InverseModel, model_of
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
-from ffcomp.inverse.settings import Settings, SlowingSettings, WriterSettings, settings_for, settings_of_inverse
+from ffcomp.inverse.settings import Settings, SlowingSettings, WriterSettings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import OutOfReach, Reach
@@ -96,7 +96,7 @@ class Options:
             choice = PLAIN
         else:
             choice = choose_robust(machine, settings, {"on": True, "off": False}.get(request.robust))
-        made = {"settings": settings_of_inverse(settings, choice.robust), "steps": _step_output(request, machine)}
+        made = {"settings": replace(settings, robust=choice.robust), "steps": _step_output(request, machine)}
         return cls(**shared_with(request, cls, **made, offset=request.offset_mm, bed=bed, bound=bound, robust=choice))
 
 

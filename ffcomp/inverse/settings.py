@@ -14,7 +14,7 @@ the unknown part: following them as far would need up to three times the acceler
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -205,20 +205,6 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
         compliance_s2=nozzle_compliance(design),
         pressure=machine.pressure,
     )
-
-
-def settings_of_inverse(settings: Settings, robust: bool) -> Settings:
-    """Return the settings of a plain or a robust inverse; on straight axes the latter's segments are longer.
-
-    They may miss the command by twice as much: the uncertainty of the modes leaves ten times that. Five prints for
-    voron-300 and ender-3 become 6 to 13 % smaller, and their expected contour error 0.2 to 0.9 % larger. On a delta it
-    would be 4 %, so nothing changes there.
-    """
-    writer = settings.writer
-    if robust and settings.robust_share < 1.0:
-        across, along, filament = 2.0 * writer.merge_um, 2.0 * writer.merge_along_um, 2.5 * writer.merge_filament_um
-        writer = replace(writer, merge_um=across, merge_along_um=along, merge_filament_um=filament)
-    return replace(settings, robust=robust, writer=writer)
 
 
 def nozzle_compliance(machine: Machine) -> tuple[float, float, float]:

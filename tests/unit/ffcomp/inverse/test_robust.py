@@ -24,7 +24,7 @@ from ffcomp.inverse.robust import (
 from ffcomp.inverse.sensitivity import (
     MARGIN,
 )
-from ffcomp.inverse.settings import settings_for, settings_of_inverse
+from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
 from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.playback import simulate_nozzles
@@ -196,12 +196,3 @@ def test_robust_inversion_costs_no_print_time_on_short_hard_strokes() -> None:
         found = stream.value.statistics
         longer_s.append(found.print_time_s - found.original_print_time_s - found.settling_s)
     assert longer_s[1] < 1.3 * longer_s[0] < 0.06 * found.original_print_time_s
-
-
-def test_segments_of_a_robust_inverse_are_longer_on_straight_axes() -> None:
-    """There the uncertainty of the modes leaves far more than they miss; on a delta they miss no more."""
-    straight, delta = settings_for(load_machine("voron-300")), settings_for(load_machine("kossel"))
-    merging = settings_of_inverse(straight, True).merging
-    assert merging.across_mm == pytest.approx(2e-3) and merging.along_mm == pytest.approx(6e-3)
-    assert settings_of_inverse(straight, False) == straight
-    assert settings_of_inverse(delta, True).merging == delta.merging
