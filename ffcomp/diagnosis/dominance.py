@@ -110,7 +110,7 @@ def dominant_effect(
     if (
         explained[0] < estimation.settings.dominant
         or _better_without(best, first.hypothesis, ahead)
-        or first.alike > estimation.settings.signature
+        or ranked[0].alike > estimation.settings.signature  # of the law that leaves least: others' shapes are left
         or not all(_ahead(first, other.left, ahead) for other in others)
         or not _everywhere(first, held_out, whole, ahead)
     ):
