@@ -202,7 +202,16 @@ BELT_BACKLASH = _drive(
     physics="A loose pulley or tooth moves freely through a dead band; spring and damper of the belt act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
     parameters=(
-        amplitude("width_mm", "w: the full dead band", (0, 5), (0.01, 0.2), 0.02, EACH, on_axis=USUAL_STRETCH),
+        amplitude(
+            "width_mm",
+            "w: the full dead band",
+            (0, 1000),
+            (0.01, 0.2),
+            0.02,
+            EACH,
+            on_printers=(0, 5),
+            on_axis=USUAL_STRETCH,
+        ),
         shape(
             "landing_s_per_m",
             "λ: damping of an impact on the flanks (Hunt & Crossley, 1975)",

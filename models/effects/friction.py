@@ -22,6 +22,7 @@ from models.effects.effect import (
 )
 
 LEAST_FORCE_N = 1e-12  # of a weight
+FORCES, OF_PRINTERS = (0, 1e5), (0, 200)  # N: the joint of a robot may have hundreds
 USUAL_DAMPING = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s)
 USUAL_FORCE = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n)
 PRESLIDING = shape(
@@ -53,7 +54,18 @@ GUIDE_DAMPING = Effect(
     kind="parameter",
     physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
-    parameters=(amplitude("added_n_s_per_m", "Δb", (-1000, 10000), (-10, 50), 1.0, EACH, on_axis=USUAL_DAMPING),),
+    parameters=(
+        amplitude(
+            "added_n_s_per_m",
+            "Δb",
+            (-1e6, 1e6),
+            (-10, 50),
+            1.0,
+            EACH,
+            on_printers=(-1000, 10000),
+            on_axis=USUAL_DAMPING,
+        ),
+    ),
     in_data="Lower, broader resonances, and a lag proportional to speed.",
     confounded_with={
         "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
@@ -106,7 +118,16 @@ COULOMB_FRICTION = Effect(
     physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
-        amplitude("force_n", "friction of each guideway", (0, 200), (0.5, 10), 0.5, EACH, on_axis=USUAL_FORCE),
+        amplitude(
+            "force_n",
+            "friction of each guideway",
+            FORCES,
+            (0.5, 10),
+            0.5,
+            EACH,
+            on_printers=OF_PRINTERS,
+            on_axis=USUAL_FORCE,
+        ),
         *reversal_parameters(EACH),
     ),
     in_data="Acceleration jumps by up to 2 F_C/m when a carriage reverses, in slow moves as much as in fast ones.",
@@ -144,14 +165,17 @@ STRIBECK_FRICTION = Effect(
     physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
-        amplitude("force_n", "friction at speed", (0, 200), (0.5, 10), 0.5, EACH, on_axis=USUAL_FORCE),
+        amplitude(
+            "force_n", "friction at speed", FORCES, (0.5, 10), 0.5, EACH, on_printers=OF_PRINTERS, on_axis=USUAL_FORCE
+        ),
         amplitude(
             "extra_force_n",
             "excess at rest",
-            (0, 200),
+            FORCES,
             (0.2, 5),
             0.5,
             EACH,
+            on_printers=OF_PRINTERS,
             usual=lambda s: USUAL_SHARE * s.force_n / 2,
         ),
         shape(
@@ -195,7 +219,7 @@ BRISTLE_FRICTION = Effect(
     physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
-        amplitude("force_n", "F_C: once it slides", (0, 1e5), (0.5, 10), 0.5, on_axis=USUAL_FORCE),
+        amplitude("force_n", "F_C: once it slides", FORCES, (0.5, 10), 0.5, on_axis=USUAL_FORCE),
         shape(
             "presliding_mm",
             "s₀: presliding distance",
