@@ -12,7 +12,8 @@ and friction do not explain is searched line by line (matching pursuit; Mallat a
 Under feedback a free axis may hardly move while its drive holds all that is missing: simulated from that force alone it
 runs away within a shot, and what merely holds it still seems to explain that. Then the force is the answer to the
 motion: `ForceBalance` compares it with the force that the measured motion needs (inverse dynamics, as robots are
-identified; Gautier 1986).
+identified; Gautier 1986). Of a motor and its load each is compared by itself: the force that the one needs, and the
+place to which its motion takes the other. Simulated together, the unknown friction of the motor would hide the load.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class AxisProblem(Problem):
         self.machine, self.recordings = machine, runs
         self.name, self.path, quantities = machine.name, machine.path, machine.vibration.quantities
         self.names = MachineNames(quantities=quantities, catalogue=catalogue_of(quantities, machine.vibration.moves))
-        self.commanded = not driven_axis(machine).by_force
+        self.commanded, self.separable = not driven_axis(machine).by_force, bool(driven_axis(machine).load_mass_kg)
         self.shots = shots_of(machine, runs)
         self.places = [_way(one.run) for one in self.shots]  # (n,) mm, or one NaN: not measured
         self.band_hz = band_of(self.shots)
@@ -262,18 +263,6 @@ class ForceBalance(AxisProblem):
         self.work.add(STEP_COST * motion.steps)
         mass = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("mass")])
         return mass * self._accelerations[run] + motion.force - HEAVY_KG * motion.motor_acceleration
-
-
-def axis_problem(machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> AxisProblem:
-    """Return the problem of an axis and its runs; `names` : the effects that are looked for.
-
-    Where the motions of a motor and of its load are both known, so is the motion that each sees of the other: the force
-    that the one needs, and the way of the other on its coupling, are compared by themselves. Simulated together, the
-    unknown friction of the motor would hide the load.
-    """
-    problem = AxisProblem(machine, runs, names)
-    loaded = driven_axis(machine).load_mass_kg and driven_axis(machine).free
-    return ForceBalance(problem) if loaded and problem.forces_known else problem
 
 
 def _states(one: Shots) -> FloatArray:

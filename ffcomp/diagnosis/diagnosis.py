@@ -220,8 +220,9 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
     still = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
-    if base.discrepancy > still and (balance := problem.balance()) is not None:
-        progress("simulated from its force, the axis is further off than one that stands still: forces are compared")
+    most = least if problem.separable else still
+    if base.discrepancy > most and (balance := problem.balance()) is not None:
+        progress("simulated from its force, the axis hides what is missing: forces are compared")
         return _diagnosed(balance, noise_floor(balance), balance.least_density, asked)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")

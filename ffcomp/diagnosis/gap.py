@@ -113,17 +113,19 @@ def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy
 def as_compared(problem: Problem) -> Problem:
     """Return the problem that `diagnose` compares on these recordings.
 
-    Of an axis that is further off than one that stands still, also with its numbers retuned: that of the forces.
+    Of an axis that is further off than one that stands still, also with its numbers retuned: that of the forces; of one
+    with a load as soon as anything is left.
     """
     balance = problem.balance()
     if balance is None:
         return problem
     estimation = estimation_problem(problem, whitener(problem.observations, noise_floor(problem), problem.band_hz))
     residual, still = estimation.residual({}), float(estimation.measured @ estimation.measured)
-    if float(residual @ residual) <= still:
+    most = (1 + estimation.tolerance) * len(residual) if problem.separable else still
+    if float(residual @ residual) <= most:
         return problem
     retuned = fit(estimation, problem.parameters, np.zeros(len(problem.parameters)), iterations=12)
-    return balance if retuned.cost > still else problem
+    return balance if retuned.cost > most else problem
 
 
 def gap_of(problem: Problem) -> Discrepancy:

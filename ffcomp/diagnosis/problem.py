@@ -198,6 +198,7 @@ class Problem(ABC):
     recordings: Sequence[object]  # that the observations are from
     repeats: Sequence[Repeats] = ()
     commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
+    separable: bool = False  # `balance` compares parts that hide one another where they are simulated together
     commanded: bool = True  # by a position, which a firmware may shape; else by a force
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed

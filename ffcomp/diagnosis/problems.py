@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.diagnosis.axis_problem import axis_problem
+from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Problem, Repeats
 from ffcomp.errors import MeasurementError, RequestError
@@ -72,7 +72,7 @@ def with_folders(recordings: Sequence[Recorded]) -> list[Recorded]:
 def problem_of(plant: Machine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
     """Return the problem of a machine and its recordings; `names` : the effects that are looked for."""
     if is_one_axis(plant):
-        return axis_problem(plant, [each for each in recordings if isinstance(each, AxisRun)], names)
+        return AxisProblem(plant, [each for each in recordings if isinstance(each, AxisRun)], names)
     return PrinterProblem(plant, [each for each in recordings if isinstance(each, Recording)], names)
 
 
