@@ -1,8 +1,9 @@
 """The preview inverse of a section: the gains of `gains.py`, corrected by the scheduled plant's response.
 
-A section is solved in windows. The segments are executed through the plant scheduled along the path, with the
-firmware's ramps; the residual is swept backwards and forwards once; and again. The gains are those of the nearest node
-of the grid, the plant is the one at the very position: the second sweep finds what the first one misses for that.
+A section is solved in windows. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are
+executed through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept
+backwards and forwards once; and again. The gains are those of the nearest node of the grid, the plant is the one at the
+very position: what the first sweep misses for that, the second one finds.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from ffcomp.inverse.model import Iterate, KnotWindow
 from models.arrays import FloatArray
+from models.compiled import kernel
 
 STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5
@@ -81,6 +83,7 @@ def answer(iterate: Iterate, gamma: FloatArray, residual: FloatArray) -> FloatAr
 def _solve_stretch(sweep: Sweep, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
     """Find the coefficients of a stretch from the plant's state (18,); return the response and the state at its end."""
     iterate, window, kept = sweep.iterate, sweep.window, sweep.stop - sweep.at
+    _begin(sweep)
     gamma = iterate.gamma[window.at + 1 : window.end + 1]
     for _ in range(MOST_PASSES):
         error, states = window.error_from(state)
@@ -93,6 +96,45 @@ def _solve_stretch(sweep: Sweep, state: FloatArray, keep_response: bool) -> tupl
     if keep_response:
         return window.respond(state)[0][: kept * iterate.model.settings.substeps], after
     return np.empty((0, 3)), after
+
+
+def _begin(sweep: Sweep) -> None:
+    """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*, where none are known yet."""
+    iterate, window = sweep.iterate, sweep.window
+    last = min(window.end, iterate.last - 1)
+    n = last - sweep.at
+    if n > 0:
+        s = iterate.model.settings
+        knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
+        ahead = window.nozzle[knots] + window.velocity[knots] * iterate.model.delay_s
+        edges = iterate.reference.at_knots(np.array([sweep.at - 1, window.end + 1, window.end + 2]))
+        q_edges, q_ahead = iterate.model.kinematics.inverse(edges), iterate.model.kinematics.inverse(ahead)
+        compliance = iterate.model.compliance_at(window.nozzle[knots, :2])
+        gamma = iterate.gamma[sweep.at + 1 : last + 1]
+        _slow_motion(q_edges, window.reference_q, q_ahead, compliance, 2 * s.segment_s, gamma)
+
+
+@kernel
+def _slow_motion(
+    edges: FloatArray, q: FloatArray, ahead: FloatArray, compliance: FloatArray, two_knots_s: float, gamma: FloatArray
+) -> None:
+    """Write γ (n, 3) mm of a slow motion, in place; q̈ is taken over two knots, for less noise.
+
+    edges : (3, 3) mm, actuators a knot before q and one and two after its last;  q : (m, 3) mm, of the window
+    ahead : (n, 3) mm, actuators one delay later;  compliance : (n, 3, 3) s²
+    """
+    m = len(q)
+    bend = np.empty(3)
+    for k in range(len(gamma)):
+        for i in range(3):
+            before = edges[0, i] if k == 0 else q[k - 1, i]
+            after = q[k + 3, i] if k + 3 < m else edges[k + 4 - m, i]
+            bend[i] = (after - 2 * q[k + 1, i] + before) / two_knots_s**2
+        for i in range(3):
+            bent = 0.0
+            for j in range(3):
+                bent += compliance[k, i, j] * bend[j]
+            gamma[k, i] = ahead[k, i] - q[k + 1, i] + bent
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:

@@ -27,8 +27,10 @@ from models.vibration.scheduled import (
     TABLE_ARRAYS,
     PlantTable,
     Schedule,
+    interpolate,
     models_along,
     plant_table,
+    table_positions,
 )
 from models.vibration.state_space import DiscretePlant
 
@@ -59,10 +61,10 @@ class KnotWindow:
     def __init__(self, iterate: Iterate, at: int, end: int) -> None:
         s = iterate.model.settings
         self.iterate, self.at, self.end = iterate, at, end
-        self.nozzle, velocity = iterate.reference.substeps(at, end)
+        self.nozzle, self.velocity = iterate.reference.substeps(at, end)
         self.reference_q = iterate.model.kinematics.inverse(self.nozzle[:: s.substeps])
         self.place = np.ascontiguousarray(self.nozzle[s.substeps // 2 :: s.substeps, :2])
-        self._centripetal = iterate.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(velocity))
+        self._centripetal = iterate.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
         self._stride = s.substeps // s.rows_per_segment
         self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
         first = at * s.rows_per_segment
@@ -161,8 +163,8 @@ class InverseModel:
 
     @cached_property
     def delay_s(self) -> float:
-        """The machine's lag behind a steady motion, s: τ of G(s) ≈ I − τ s, on average of its towers."""
-        return float(np.mean(self.machine.vibration.low_frequency(np.zeros((1, 2)))[0]))
+        """The machine's lag behind a steady motion, s."""
+        return steady_delay(self.machine)
 
     @cached_property
     def limits(self) -> CommandLimits:
@@ -220,6 +222,19 @@ class InverseModel:
         p = self.row_table.plant
         at = DiscretePlant(step_s, *models_along(self.row_table, xy), p.carriage, p.drive_states, p.oscillators)
         return at, self.machine.kinematics.jacobian(xy)
+
+    def compliance_at(self, xy: FloatArray) -> FloatArray:
+        """Return C of G⁻¹(s) ≈ I + τ s + C s² for the carriages at positions (n, 2) mm: (n, 3, 3) s²."""
+        table = self.row_table
+        return interpolate(self._compliance, table.x0_mm, table.pitch_mm, table.nodes, np.ascontiguousarray(xy))
+
+    @cached_property
+    def _compliance(self) -> FloatArray:
+        """Return C at the table's nodes: Eq. 29 and Eq. 34, inverted and expanded at s = 0."""
+        _, positions = table_positions(self.machine.kinematics)
+        if self.settings.one_model:
+            positions = np.broadcast_to(positions[len(positions) // 2], positions.shape)
+        return self.machine.vibration.low_frequency(positions)[1]
 
     @cached_property
     def _robust(self) -> RobustReference:
@@ -288,3 +303,8 @@ class _Cache:
     def rows(self, name: str) -> int:
         """Return how many rows an array has; 0: there is none."""
         return len(self.arrays[name]) if name in self.arrays else 0
+
+
+def steady_delay(machine: Machine) -> float:
+    """Return τ of G(s) ≈ I − τ s, the machine's lag behind a steady motion, s, on average of its towers."""
+    return float(np.mean(machine.vibration.low_frequency(np.zeros((1, 2)))[0]))
