@@ -158,7 +158,7 @@ def diagnose(
     result = _diagnosed(problem, noise_floor(problem), problem.least_density, asked)
     guessed = not result.noise.from_repeats and result.fault is None
     if guessed and result.floor_is_wrong:
-        progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
+        progress("the residual is below the guessed noise: it becomes the noise, and the search starts again")
         problem.work.begin(budget)
         same = result.estimation.problem
         result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), {}, asked)
@@ -289,7 +289,7 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
     whole = Search(estimation, (), base, progress)
     best = on_all_data(whole, selection)
     if best is None:
-        progress("all data show more than the excerpt: the search begins anew in all of it")
+        progress("the whole recordings show more than the excerpt: the search starts again on all of them")
         return None
     finished = replace(finish(whole, best), tried=selection.tried)
     return _Searched(selection.best, finished, screened, part, retuned)

@@ -1,4 +1,4 @@
-"""What a fit says of data that it was not fitted to.
+"""Predict data that were left out of a fit.
 
 Every place is left out in turn (every experiment, where there is one place only): what a hypothesis says of it then is
 what it would say of a place that nobody has measured.
@@ -66,8 +66,8 @@ def groups(problem: Problem) -> Mapping[tuple[Position, str], list[int]]:
 def motions_or_groups(problem: Problem) -> Mapping[tuple[Position, str], list[int]]:
     """Group the observations as `groups` does, but those of an axis by its motions, where there are several.
 
-    The other windows of a motion tell much of each: what rings on, and where it came to rest. What an effect by place
-    or by speed says of another motion they do not tell.
+    The windows of one motion depend on each other: vibration continues from one to the next, and so does the place of
+    rest. Only another motion tests how an effect depends on place or speed.
     """
     observations, motions = problem.observations, problem.motions
     if len(set(motions)) < 2 or any(len(o.position) > 1 for o in observations):

@@ -24,7 +24,7 @@ class SearchSettings:
     # ---- candidates ----
     # ---- is there a discrepancy ----
     exists: float = _setting(0.05, "noise power", "a smaller discrepancy is none; added where two are compared")
-    known_noise: float = _setting(0.1, "noise power", "tolerance where repeats tell the noise", "spread of repeats")
+    known_noise: float = _setting(0.1, "noise power", "tolerance where repeats give the noise", "spread of repeats")
     guessed_noise: float = _setting(3.0, "noise power", "tolerance where the noise is guessed", "spread of guesses")
     chance_sd: float = _setting(4.0, "standard deviations", "what chance alone may show", "normal, one in 30 000")
     wrong_floor: float = _setting(-0.5, "noise power", "with a smaller discrepancy the noise floor is wrong")

@@ -68,7 +68,7 @@ def _advice(start: Machine, result: PageFit) -> list[str]:
     sentences = list(result.doubts)
     if start.vibration.position_dependent:
         sentences.append(
-            f"A picture shows ratios of masses, stiffnesses and dampings, not their scale: {SCALE} stayed as it was. "
+            f"A picture shows ratios of masses, stiffnesses and dampings, not their scale: {SCALE} is unchanged. "
             "A compensation does not need it."
         )
     far = [
