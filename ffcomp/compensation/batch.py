@@ -232,18 +232,18 @@ class _Batch:
             return outcome
         file = self.files[outcome.number]
         if outcome.done.already and (target is None or (target.exists() and target.samefile(file))):
-            return replace(outcome, done=replace(outcome.done, output=file))
+            return replace(outcome, outcome=replace(outcome.done, output=file))
         if target is not None:
             assert done.output is not None
             try:
                 replace_atomically(target, [done.output])
             except OSError as error:
                 return self._failed(outcome.number, error)
-        return replace(outcome, done=replace(outcome.done, output=target))
+        return replace(outcome, outcome=replace(outcome.done, output=target))
 
     def _failed(self, number: int, error: Exception) -> FileResult:
         file = self.files[number]
-        return FileResult(number, file, 0.0, None, failure_of(error, str(file)))
+        return FileResult(number, file, 0.0, failure_of(error, file))
 
 
 @contextmanager

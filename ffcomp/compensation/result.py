@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ffcomp.compensation.faster import P99_LEVEL
 from ffcomp.compensation.net import unsafe_sentences
@@ -461,6 +461,9 @@ def already_compensated(path: str, stamps: Iterable[Stamp | None], output: Path)
 class Failure:
     """Why a file was not compensated."""
 
+    json_keys: ClassVar = keys("exit_code", input="file", error="sentence")
+
+    file: Path
     sentence: str
     exit_code: int
     trace: str = ""  # of a fault of our own
@@ -473,8 +476,17 @@ class FileResult:
     number: int  # its place among the files
     file: Path
     seconds: float
-    done: CompensatedFile | None
-    failure: Failure | None = None
+    outcome: CompensatedFile | Failure
+
+    @property
+    def done(self) -> CompensatedFile | None:
+        """What was made of it; None: it failed."""
+        return self.outcome if isinstance(self.outcome, CompensatedFile) else None
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why it failed; None: it did not."""
+        return self.outcome if isinstance(self.outcome, Failure) else None
 
     @property
     def in_short(self) -> str:
@@ -490,28 +502,25 @@ class FileResult:
             parts.append(f"contour error {rms} µm rms{of_part}")
         return f"{', '.join(parts)}; took {self.seconds:.1f} s"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the file's JSON object among those of a batch."""
-        if self.done is not None:
-            return self.done.to_dict()
-        assert self.failure is not None
-        return {
-            "input": str(self.file),  # the file
-            "error": self.failure.sentence,  # why it was not compensated
-            "exit_code": self.failure.exit_code,  # whole number: that of the file by itself
-        }
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedFiles(VerbResult):
     """The results of several files, in their order."""
 
+    schema = "ffcomp-compensate-batch/1"
+    json_keys: ClassVar = keys("failed", results="outcomes")
+
     results: Sequence[FileResult]
 
     @property
-    def failed(self) -> list[FileResult]:
-        """Those that were not compensated."""
-        return [each for each in self.results if each.failure is not None]
+    def outcomes(self) -> list[CompensatedFile | Failure]:
+        """The result or the failure of each file."""
+        return [each.outcome for each in self.results]
+
+    @property
+    def failed(self) -> int:
+        """How many files were not compensated."""
+        return sum(each.failure is not None for each in self.results)
 
     @property
     def failure(self) -> FfcompError | None:
@@ -526,8 +535,8 @@ class CompensatedFiles(VerbResult):
     @property
     def headline(self) -> str:
         """How many files are done."""
-        lost = f", {len(self.failed)} failed" if self.failed else ""
-        return f"{len(self.results) - len(self.failed)} of {len(self.results)} files are compensated{lost}."
+        lost = f", {self.failed} failed" if self.failed else ""
+        return f"{len(self.results) - self.failed} of {len(self.results)} files are compensated{lost}."
 
     @property
     def facts(self) -> Sequence[Fact]:
@@ -553,15 +562,6 @@ class CompensatedFiles(VerbResult):
         """The same, no more than a person reads."""
         return shortened(self.warnings)
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-compensate-batch/1."""
-        objects = [each.to_dict() for each in self.results]
-        return {
-            "schema": "ffcomp-compensate-batch/1",
-            "results": objects,  # [] ffcomp-compensate/1 or FAILED: in the order of the files
-            "failed": len(self.failed),  # whole number: how many files were not compensated
-        }
-
 
 def attempt(number: int, file: Path, work: Callable[[Path], CompensatedFile]) -> FileResult:
     """Run `work(file)` and return its result or failure; never raises."""
@@ -571,14 +571,14 @@ def attempt(number: int, file: Path, work: Callable[[Path], CompensatedFile]) ->
             done = work(file)
         return FileResult(number, file, time.perf_counter() - started, done)
     except Exception as error:
-        return FileResult(number, file, time.perf_counter() - started, None, failure_of(error, str(file)))
+        return FileResult(number, file, time.perf_counter() - started, failure_of(error, file))
 
 
-def failure_of(error: Exception, path: str) -> Failure:
+def failure_of(error: Exception, path: Path) -> Failure:
     """Return an error's sentence and its documented exit code."""
     if isinstance(error, INPUT_ERRORS):
-        return Failure(*explain(error, path))
+        return Failure(path, *explain(error, str(path)))
     if isinstance(error, BrokenExecutor):
-        return Failure(f"{path}: {DIED}", 1)
+        return Failure(path, f"{path}: {DIED}", 1)
     trace = "".join(traceback.format_exception(error))
-    return Failure(f"{path}: ffcomp itself is at fault ({type(error).__name__}: {error}).", 1, trace)
+    return Failure(path, f"{path}: ffcomp itself is at fault ({type(error).__name__}: {error}).", 1, trace)

@@ -145,14 +145,6 @@ def _times(match: re.Match[str], factor: float) -> str:
 # ---- compare -------------------------------------------------------------------------------------
 
 
-def compare_methods() -> Image.Image:
-    return compared("methods")
-
-
-def compare_close_up() -> Image.Image:
-    return compared("close-up")
-
-
 def compared(name: str) -> Image.Image:
     found = compare("print.gcode", "mp-delta-pro", only=tuple(ROWS.split(",")), quality_um=0.0)
     found.write_figure("one.png", name)
@@ -162,27 +154,20 @@ def compared(name: str) -> Image.Image:
 # ---- frf -----------------------------------------------------------------------------------------
 
 
-def frf_good() -> Image.Image:
-    return measured_frf("good", load_machine("mp-delta-pro"), 0.03)
-
-
-def frf_noisy() -> Image.Image:
-    return measured_frf("noisy", load_machine("mp-delta-pro"), 0.3)
-
-
 def frf_wrong_mode() -> Image.Image:
     """The printer's nozzle holder is twice as heavy as the file says."""
     machine = load_machine("mp-delta-pro")
     heavy = replace(
         delta_vibration(machine).effector, nozzle_mass_kg=2.0 * delta_vibration(machine).effector.nozzle_mass_kg
     )
-    return measured_frf("wrong-mode", with_parts(machine, effector=heavy), 0.03)
+    return measured_frf("wrong-mode", 0.03, with_parts(machine, effector=heavy))
 
 
-def measured_frf(name: str, real: Machine, noise: float) -> Image.Image:
+def measured_frf(name: str, noise: float, real: Machine | None = None) -> Image.Image:
     """`ffcomp frf` with made-up measurements of a printer.
 
-    noise : relative to each value, and as much of the median value.
+    noise : relative to each value, and as much of the median value
+    real : the printer; None: as its file says
     """
     rng = np.random.default_rng(1)
     options: list[object] = []
@@ -191,7 +176,7 @@ def measured_frf(name: str, real: Machine, noise: float) -> Image.Image:
         asked = FrequencyResponse(
             f"cmd_{letter}", f"pos_{letter}", LINES_HZ, nothing.astype(complex), nothing, position_mm=(0.0, 0.0, 30.0)
         )
-        value = predicted(real, [asked])[0]
+        value = predicted(real or load_machine("mp-delta-pro"), [asked])[0]
         spread = noise * np.hypot(np.abs(value), np.median(np.abs(value)))
         drawn = spread * (rng.normal(size=len(value)) + 1j * rng.normal(size=len(value))) / np.sqrt(2)
         write_frf(Path(f"{name}-{letter}.csv"), replace(asked, value=value + drawn))
@@ -257,20 +242,10 @@ def side_by_side(drawings: list[Drawing]) -> Image.Image:
 
 
 MADE: dict[str, Callable[[], Image.Image]] = {
-    each.__name__: each
-    for each in (
-        show_good,
-        show_wrong_file,
-        show_limits,
-        compare_methods,
-        compare_close_up,
-        frf_good,
-        frf_noisy,
-        frf_wrong_mode,
-        fit_good,
-        fit_weak,
-        diagnosis,
-    )
+    **{each.__name__: each for each in (show_good, show_wrong_file, show_limits, frf_wrong_mode)},
+    **{each.__name__: each for each in (fit_good, fit_weak, diagnosis)},
+    **{f"compare_{name.replace('-', '_')}": partial(compared, name) for name in ("methods", "close-up")},
+    **{f"frf_{name}": partial(measured_frf, name, noise) for name, noise in (("good", 0.03), ("noisy", 0.3))},
 }
 
 if __name__ == "__main__":

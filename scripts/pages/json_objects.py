@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Literal, Union, get_args, get_origin, get_type
 import numpy as np
 
 from ffcomp.comparison.result import EqualQuality, Error, Method
+from ffcomp.compensation.result import Failure
 from ffcomp.diagnosis.result import Dominant, Interval, Nearest
 from ffcomp.diagnosis.verb import PrintGain
 from ffcomp.diagnosis.where import ResidualSize
@@ -57,6 +58,7 @@ SHARED: dict[type, str] = {
     Dominant: "DOMINANT",
     PrintGain: "GAIN",
     Plan: "ffcomp-moves/1",
+    Failure: "FAILED",
 }
 MISSING = ", may be missing"
 PLAIN = {type(None): "null", str: "text", Path: "text", float: "number", int: "whole number", bool: "true or false"}
@@ -125,10 +127,8 @@ def rows(key: str, kind: Any, null: str = "") -> Iterator[tuple[str, str]]:
     """Yield the rows of one key: one, or those of the objects that it holds."""
     kind, may_be_none = without_none(kind)
     null, (inside, mark) = null or " or null" * may_be_none, items_of(kind)
-    if kind in SHARED:
-        yield key, f"{SHARED[kind]}{null}"
-    elif isinstance(kind, type) and issubclass(kind, Result):
-        yield key, kind.schema
+    if name := name_of(kind):
+        yield key, f"{name}{null}"
     elif isinstance(kind, type) and has_keys(kind):
         yield from rows_of(kind, f"{key}.")
     elif mark == ".*" or holds_objects(inside):
@@ -138,10 +138,18 @@ def rows(key: str, kind: Any, null: str = "") -> Iterator[tuple[str, str]]:
         yield key, "" if by_hand else f"{words(kind)}{null}"
 
 
+def name_of(kind: Any) -> str:
+    """Return the name of the object that a type, or each of a union, becomes; empty: one has none."""
+    either = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
+    named = [SHARED.get(each) or getattr(each, "schema", "") for each in either]
+    return " or ".join(named) if all(named) else ""
+
+
 def holds_objects(kind: Any) -> bool:
     """Whether a list's items are objects, or lists of them."""
     inside, _ = items_of(kind)
-    return (isinstance(kind, type) and has_keys(kind)) or (inside is not None and holds_objects(inside))
+    is_one = bool(name_of(kind)) or (isinstance(kind, type) and has_keys(kind))
+    return is_one or (inside is not None and holds_objects(inside))
 
 
 def items_of(kind: Any) -> tuple[Any, str]:

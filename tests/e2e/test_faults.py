@@ -50,7 +50,7 @@ def refused(file: Path, target: Path | None = None, progress: Callable[[float], 
     """The sentence that the user gets; the exit code is that of files that cannot be used."""
     with pytest.raises(OSError) as caught:  # noqa: PT011 (its sentence is what the callers look at)
         compensated(file, target, progress)
-    failure = failure_of(caught.value, str(file))
+    failure = failure_of(caught.value, file)
     assert failure.exit_code == 2 and not failure.trace
     return failure.sentence
 
