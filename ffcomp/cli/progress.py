@@ -9,9 +9,11 @@ import json
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from statistics import median_low
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 STEADY_S = 5.0  # of work before the first estimate of the time left
+RECENT = 200  # reports that the pace is taken from
+STALL = 4.0  # times the usual pace: a report that took longer waited for a compiler, and does not count
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,10 @@ class Progress:
         self.live = not is_quiet() and sys.stderr.isatty() and not os.environ.get("SLIC3R_PP_HOST")
         self.total_s, self.what = max(total_s, 1e-9), what
         self.tenths = 0
-        self.steady: tuple[float, float] | None = None  # time and work done at the first report
+        self.last: tuple[float, float] | None = None  # time and work done at the last report
+        self.recent: deque[tuple[float, float]] = deque(
+            maxlen=RECENT
+        )  # time and work of each report, from the one before
 
     def __enter__(self) -> Self:
         if self.live:
@@ -84,13 +91,17 @@ class Progress:
         return True
 
     def left_s(self, done_s: float) -> float | None:
-        """Return the time left by the pace since the first report, which leaves out compilation."""
+        """Return the time left by the pace of the last reports, without compilation; None: no steady pace yet."""
         now = time.monotonic()
-        self.steady = self.steady or (now, done_s)
-        since, before = self.steady
-        if now - since < STEADY_S or done_s <= before:
-            return None
-        return (now - since) * max(self.total_s - done_s, 0.0) / (done_s - before)
+        since, before = self.last or (now, done_s)
+        if done_s > before:
+            self.recent.append((now - since, done_s - before))
+        if self.last is None or done_s > before:
+            self.last = now, done_s
+        usual = median_low([took / work for took, work in self.recent] or [0.0])
+        steady = [(took, work) for took, work in self.recent if took <= STALL * usual * work]
+        took, work = map(sum, zip(*steady, strict=True)) if steady else (0.0, 0.0)
+        return None if took < STEADY_S else took / work * max(self.total_s - done_s, 0.0)
 
     def __call__(self, done_s: float) -> None:
         """Show how much is done."""

@@ -70,3 +70,14 @@ def test_programs_read_events(
     assert page_progress(events, "") == (0.75, "compensating, about 5 s left")
     events.write_text('{"stage": "trying", "share": null, "left_s": 195.0}\n')
     assert page_progress(events, "") == (None, "trying, about 3 min left")
+
+
+def test_compilation_is_no_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first run compiles before its first report and between two others: 170 s for a tenth of 20 s of work."""
+    clock = 0.0
+    monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
+    progress, left = Progress(1.0), []
+    for share in range(101):
+        clock += 0.2 + 150.0 * (share == 0) + 20.0 * (share == 5)
+        left.append(progress.left_s(share / 100))
+    assert left[25] is None and left[30] == pytest.approx(70 * 0.2) and left[100] == 0.0
