@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import json
-import re
-from contextlib import redirect_stdout
-from dataclasses import dataclass
-from html import unescape
-from io import StringIO
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from ffcomp.cli.common import answer
 from ffcomp.numerics.digits import um
 from ffcomp.report.show import show_figure
-from ffcomp.result import Answer, Result
+from ffcomp.result import Result
 from ffcomp.serve.answers import answer_of
 from ffcomp.simulation.forecast import NO_FORECAST, forecast_in
 from ffcomp.simulation.preview import preview
 from gcode.embedded import already_processed, find_offset
 from models.file import load_machine
+from tests.support.axis import write_axis
 from tests.support.cli import ffcomp
 from tests.support.configs import Delta, written
 from tests.support.prints import squares
+from tests.support.surfaces import headlines
 
 KEYS = ("predicted", "predicted_over_s", "expected", "verdict")
 
@@ -101,47 +97,24 @@ VERBS = [  # in this order: a verb may read what an earlier one wrote
     "machines check mp-delta-pro-as-printed",
     "machines import printer.cfg -o imported.toml",
     "restore out.gcode -o again.gcode",
+    "record check -m ender-3 -o check.gcode",
+    "simulate check.gcode -m ender-3 --as-captures captures --plan check.json --rate 3200 --flavor klipper",
+    "record join captures/*.csv --plan check.json -m ender-3 -o runs",
+    "record check captures/*.csv --plan check.json -m ender-3",
+    "identify update runs/*.csv -m ender-3 -o updated.toml",
+    "diagnose push-*.csv -m slide.toml -o better-slide.toml",
 ]
 
 
-@dataclass(frozen=True)
-class Surfaces:
-    """What one run of a verb says, wherever people look; its headline stands in each."""
-
-    terminal: list[str]
-    objects: list[dict[str, Any]]
-    report: str
-
-    @property
-    def headlines(self) -> tuple[str, str, str, str]:
-        """On the terminal, as JSON, on the page of `serve` and on that of the report."""
-        (told,) = {json.dumps(each["answer"]) for each in self.objects}
-        lead = re.search(r'<p class="lead">(.*?)</p>', self.report, re.DOTALL)
-        assert lead is not None
-        plain = unescape(re.sub(r"</?code>", "", lead[1])).replace("\N{NO-BREAK SPACE}", " ")
-        answer = Answer(**json.loads(told))
-        assert self.terminal == list(answer.lines())
-        (headline,) = [line for line in self.terminal if line == answer.headline]
-        return headline, answer.headline, answer_of(self.objects[0]).headline, plain
-
-
-def surfaces(words: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Surfaces:
-    """Run a verb once, and have its result printed in both ways."""
-    printed = list[str]()
-
-    def print_twice(result: Result, as_json: bool) -> None:
-        for way in (False, True):
-            with redirect_stdout(StringIO()) as out:
-                answer(result, way)
-            printed.append(out.getvalue())
-
-    monkeypatch.setattr("ffcomp.cli.command.answer", print_twice)
+def run(words: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Result:
+    """Run a verb in a folder, with its report; return its result in place of printing it."""
+    results = list[Result]()
+    monkeypatch.setattr("ffcomp.cli.command.answer", lambda result, as_json: results.append(result))
     (folder / "report.html").unlink(missing_ok=True)
-    done = ffcomp(*words.split(), "--quiet", "--report", "report.html", cwd=folder)
+    files = [sorted(map(str, folder.glob(each))) if "*" in each else [each] for each in words.split()]
+    done = ffcomp(*chain.from_iterable(files), "--quiet", "--report", "report.html", cwd=folder)
     assert done.exit_code == 0, done.output
-    text, objects = printed
-    report = (folder / "report.html").read_text(encoding="utf-8")
-    return Surfaces(text.splitlines(), [json.loads(line) for line in objects.splitlines()], report)
+    return results[0]
 
 
 @pytest.fixture(scope="module")
@@ -154,12 +127,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = np.column_stack([f, power, 0.01 * power, 0.01 * power, 1.02 * power])
     np.savetxt(folder / "resonances_x.csv", rows, delimiter=",", header="freq,psd_x,psd_y,psd_z,psd_xyz", comments="")
     written(folder, Delta().klipper(), "printer.cfg")
+    write_axis(folder)
     return folder
 
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("words", VERBS)
 def test_terminal_json_page_and_report_say_the_same(words: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = surfaces(words, folder, monkeypatch)
-    assert len(set(said.headlines)) == 1 and said.headlines[0]
-    assert {each["schema"].partition("/")[2] for each in said.objects} == {"1"}
+    with monkeypatch.context() as patched:
+        result = run(words, folder, patched)
+    monkeypatch.chdir(folder)
+    said, objects = headlines(result, folder / "report.html")
+    assert len(set(said)) == 1 and said[0]
+    assert {each["schema"].partition("/")[2] for each in objects} == {"1"}

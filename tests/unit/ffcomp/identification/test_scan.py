@@ -29,6 +29,7 @@ from models.file import load_machine, machine_of_text
 from models.machine import Machine, with_values
 from tests.support.json_page import Page
 from tests.support.reference import REFERENCE
+from tests.support.surfaces import headlines
 from validation.drawn_page import LEAD_S, SCANNER, Bead, Conditions, Drawing, draw, photograph, straight_player, zv
 from validation.plants.straight_plant import COREXY, Plant
 
@@ -119,6 +120,9 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     assert 0.0 < dry.low < 0.4 / 0.55 < dry.high  # per kilogram, for nobody knows the masses
     assert rubbing["force_n"][1] == pytest.approx(dry.value, rel=0.01) and rubbing["force_n"][0] < 0.15
     assert 0.001 < rubbing["presliding_mm"] < 0.02
+    fit.write_report(folder / "report.html")
+    said, _ = headlines(fit, folder / "report.html")
+    assert len(set(said)) == 1 and said[0]
     assert all(each.startswith("The picture hardly determines") for each in fit.advice)
     warning, *_ = _advice(with_values(machine, {"axes.x.frequency_hz[0]": 35.0}), fit.result)
     assert warning.startswith("axes.x.frequency_hz[0]: further from") and "another printer of the same kind" in warning
