@@ -84,7 +84,6 @@ EXTRAS = {
     "PIL": ("scan", "Pictures need Pillow"),
     "starlette": ("serve", "The page needs Starlette and Uvicorn"),
     "uvicorn": ("serve", "The page needs Starlette and Uvicorn"),
-    "httpx": ("serve", "The page needs httpx"),
     "numba": ("jit", "What this needs did not come compiled with ffcomp for this machine and processor"),
 }
 """Packages that only an extra installs: its name, and who needs it."""

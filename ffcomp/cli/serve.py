@@ -49,15 +49,6 @@ class ServeRequest(Request):
     ] = ()
     certificate: Annotated[Path | None, Option("Certificate, for HTTPS (PEM).", REACH, metavar="FILE")] = None
     key: Annotated[Path | None, Option("Its private key (PEM).", REACH, metavar="FILE")] = None
-    moonraker: Annotated[
-        str,
-        Option(
-            "The printer's Moonraker, e.g. http://mainsailos.local:7125. The page lists its prints and uploads the "
-            "compensated ones to it.",
-            REACH,
-            metavar="URL",
-        ),
-    ] = ""
     folder: Annotated[
         Path | None, Option("Where work is kept. Default: the user's data folder.", OUTPUT, metavar="DIR")
     ] = None
@@ -69,7 +60,7 @@ class ServeRequest(Request):
         """Check addresses, and that a certificate has its key."""
         if (self.certificate is None) != (self.key is None):
             raise RequestError("--certificate and --key go together.")
-        for url in (*self.frame, *([self.moonraker] if self.moonraker else [])):
+        for url in self.frame:
             if urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).hostname or set(url) & set(" ;,'\""):
                 raise RequestError(f"{url}: an address begins with http:// or https://.")
 
@@ -83,7 +74,7 @@ def serve(request: ServeRequest) -> None:
 
     Example: ffcomp serve --open
     """
-    for package in ("starlette", "uvicorn", "httpx"):
+    for package in ("starlette", "uvicorn"):
         require(package)
     from ffcomp.serve.settings import MEGABYTE, Settings, is_local, kept_token
 
@@ -96,7 +87,6 @@ def serve(request: ServeRequest) -> None:
         largest_bytes=request.largest_mb * MEGABYTE,
         names=request.name,
         frames=request.frame,
-        moonraker=request.moonraker,
         secure=request.certificate is not None,
         token="" if is_local(request.host) else kept_token(folder),
     )

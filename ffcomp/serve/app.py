@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.concurrency import iterate_in_threadpool, run_in_threadpool
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
@@ -23,10 +23,9 @@ from ffcomp.serve import machines, messages
 from ffcomp.serve.commands import KINDS, MEASURED, checked, forms
 from ffcomp.serve.guard import Guard
 from ffcomp.serve.jobs import Job
-from ffcomp.serve.printer import Printer
 from ffcomp.serve.runner import Runner
 from ffcomp.serve.settings import MEGABYTE, Settings
-from ffcomp.serve.uploads import Refused, Upload, Uploads, is_full, new_id
+from ffcomp.serve.uploads import Refused, Uploads, is_full, new_id
 from ffcomp.version import __version__
 
 BODY = 1 << 16  # bytes of a request that is not a file
@@ -41,7 +40,7 @@ INLINE = {".svg": "image/svg+xml", ".html": "text/html; charset=utf-8"}
 
 
 class Server:
-    """One server: its settings, uploads, jobs and printer."""
+    """One server: its settings, uploads and jobs."""
 
     def __init__(self, settings: Settings) -> None:
         settings.folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +48,6 @@ class Server:
         self.settings = settings
         self.uploads = Uploads(settings)
         self.runner = Runner(settings, machines.path_of, machines.kept_if_imported)
-        self.printer = Printer(settings.moonraker.rstrip("/")) if settings.moonraker else None
         self.creating = threading.Lock()
 
     def app(self) -> Guard:
@@ -63,8 +61,6 @@ class Server:
             Route("/api/jobs/{id}/{action:str}", self._answer(self.act), methods=["POST"]),
             Route("/api/jobs/{id}/log", self._answer(self.log), methods=["GET"]),
             Route("/api/jobs/{id}/files/{name}", self._answer(self.file)),
-            Route("/api/printer/files", self._answer(self.printer_files)),
-            Route("/api/printer/fetch", self.fetch, methods=["POST"]),
         ]
         return Guard(Starlette(routes=routes, lifespan=self._lifespan), self.settings)
 
@@ -107,7 +103,6 @@ class Server:
             "version": __version__,
             "machines": list(map(asdict, machines.listed())),
             "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all()],
-            "printer": self.printer is not None,
             "largest_mb": self.settings.largest_bytes // MEGABYTE,
         }
 
@@ -140,16 +135,7 @@ class Server:
         if len(set(names)) < len(names):
             raise Refused(400, "Two of the files have the same name.")
         title = KINDS[kind].title.format(name=names[0] if names else "", machine=machine)
-        origin = files[0][0].printer_path if files else ""
-        job = Job(
-            new_id(),
-            kind,
-            title,
-            machine if KINDS[kind].machine else "",
-            tuple(names),
-            options,
-            printer_path=origin,
-        )
+        job = Job(new_id(), kind, title, machine if KINDS[kind].machine else "", tuple(names), options)
 
         def place(folder: Path) -> None:
             for path in (*(path for _, path in files), *plan):
@@ -167,7 +153,7 @@ class Server:
         return [self.runner.kept.output(job, "moves.json")]
 
     def act(self, request: Request, fields: Any) -> dict[str, Any]:
-        """Do one thing with a job: cancel, again, remove, keep its machine file, send its print to the printer."""
+        """Do one thing with a job: cancel, again, remove, keep its machine file."""
         id_, action = request.path_params["id"], request.path_params["action"]
         if action == "cancel":
             return asdict(self.runner.cancel(id_))
@@ -178,8 +164,6 @@ class Server:
             return {}
         if action == "keep":
             return {"machine": machines.keep(self.runner.find(id_), self.runner.kept, str(fields.get("name", "")))}
-        if action == "send":
-            return {"path": self._send(self.runner.find(id_))}
         raise Refused(404, "There is no such action.")
 
     def log(self, request: Request, fields: Any) -> Response:
@@ -196,32 +180,6 @@ class Server:
         if kind and request.query_params.get("view"):
             return FileResponse(path, media_type=kind)
         return FileResponse(path, filename=path.name, media_type="application/octet-stream")
-
-    # -- the printer --
-
-    def printer_files(self, request: Request, fields: Any) -> list[dict[str, Any]]:
-        """Return the prints on the printer."""
-        return list(map(asdict, self._printer().files()))
-
-    async def fetch(self, request: Request) -> Response:
-        """Copy a print from the printer to here."""
-        try:
-            path = str((await _fields_of(request)).get("path", ""))
-            pieces = iterate_in_threadpool(self._printer().read(path))
-            upload: Upload = await self.uploads.take(path, pieces, printer_path=path)
-        except Refused as refused:
-            return _refusal(refused)
-        return JSONResponse(asdict(upload), 201)
-
-    def _send(self, job: Job) -> str:
-        if job.kind != "compensate" or job.state != "done":
-            raise Refused(409, "Only a print that is compensated can be sent.")
-        return self._printer().write(self.runner.kept.output(job, job.inputs[0]), job.printer_path)
-
-    def _printer(self) -> Printer:
-        if self.printer is None:
-            raise Refused(404, "No printer is set: start the server with --moonraker URL.")
-        return self.printer
 
 
 def _refusal(refused: Refused) -> Response:

@@ -42,7 +42,6 @@ class Job:
     answer: Answer = field(default_factory=Answer)  # as the page shows it
     kept: str = ""  # the name of the machine that it has made and kept
     pid: int = 0  # while it runs
-    printer_path: str = ""  # where the first input lies on the printer, if it comes from there
 
 
 class JobFolder:

@@ -26,7 +26,6 @@ class Settings:
     names: tuple[str, ...] = ()  # of the server, in addition to those that `guard` knows
     frames: tuple[str, ...] = ()  # origins of pages that may show this one in a frame, e.g. `http://mainsailos.local`
     token: str = ""  # that a visitor needs; empty: none
-    moonraker: str = ""  # address of the printer's Moonraker; empty: none
     secure: bool = False  # the server speaks TLS
 
     @property

@@ -37,7 +37,6 @@ class Upload:
     id: str
     name: str
     bytes: int
-    printer_path: str = ""  # where it lies on the printer, if it comes from there
 
 
 def new_id() -> str:
@@ -67,7 +66,7 @@ class Uploads:
         self.folder = settings.folder / "uploads"
         self.folder.mkdir(parents=True, exist_ok=True)
 
-    async def take(self, name: str, pieces: AsyncIterator[bytes], printer_path: str = "") -> Upload:
+    async def take(self, name: str, pieces: AsyncIterator[bytes]) -> Upload:
         """Write a file as it comes.
 
         Raises
@@ -92,7 +91,7 @@ class Uploads:
                     file.write(piece)
             if size == 0:
                 raise Refused(400, f"{safe_name(name)} is empty.")
-            upload = Upload(id_, safe_name(name), size, printer_path)
+            upload = Upload(id_, safe_name(name), size)
             (self.folder / f"{id_}.json").write_text(json.dumps(asdict(upload)), encoding="utf-8")
             return upload
         except BaseException as error:

@@ -1,4 +1,4 @@
-"""`ffcomp serve` with real jobs, a printer that answers like Moonraker, and visitors who mean no good."""
+"""`ffcomp serve` with real jobs, and visitors who mean no good."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ import http.client
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
-from urllib.parse import unquote, urlsplit
+from urllib.parse import urlsplit
 
 import pytest
 
-from tests.support import stand_in
 from tests.support.server import MARK, client, command, started, uploaded, wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -190,81 +185,3 @@ def test_ctrl_c_ends_it_well_and_takes_its_workers_along(tmp_path: Path) -> None
         with pytest.raises(OSError):  # noqa: PT011 (no such process)
             os.kill(worker, 0)
     assert json.loads(job.read_text())["state"] == "failed"
-
-
-# -- the printer --
-
-
-class Moonraker(BaseHTTPRequestHandler):
-    """As much of Moonraker's interface as is used."""
-
-    files: dict[str, bytes]
-    started: list[str]
-
-    def do_GET(self) -> None:
-        path = unquote(urlsplit(self.path).path)
-        if path == "/server/files/list":
-            rows = [{"path": name, "size": len(text), "modified": 1.0} for name, text in self.files.items()]
-            self.answer(json.dumps({"result": rows}).encode())
-        elif path.removeprefix("/server/files/gcodes/") in self.files:
-            self.answer(self.files[path.removeprefix("/server/files/gcodes/")])
-        else:
-            self.send_error(404)
-
-    def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        edge = self.headers["Content-Type"].partition("boundary=")[2].encode()
-        parts = [part[2:-2].split(b"\r\n\r\n", 1) for part in body.split(b"--" + edge)[1:-1]]
-        found = {head.split(b'name="')[1].split(b'"')[0].decode(): (head, text) for head, text in parts}
-        name = found["file"][0].split(b'filename="')[1].split(b'"')[0].decode()
-        folder = found["path"][1].decode()
-        self.files[f"{folder}/{name}".lstrip("/")] = found["file"][1]
-        if found["print"][1] != b"false":
-            self.started.append(name)
-        self.answer(b'{"result": {}}')
-
-    def answer(self, body: bytes) -> None:
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing."""
-
-
-@contextmanager
-def printer(files: dict[str, bytes]) -> Iterator[tuple[str, type[Moonraker]]]:
-    kind = type("Printer", (Moonraker,), {"files": files, "started": []})
-    with ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
-        thread = Thread(target=server.serve_forever, args=(0.02,))
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_port}", kind
-        server.shutdown()
-        thread.join()
-
-
-def test_a_print_of_the_printer_is_compensated_and_put_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
-    files = {"parts/a b.gcode": WIGGLE, "notes.txt": b"mine"}
-    with printer(dict(files)) as (url, kind), client(tmp_path, monkeypatch, moonraker=url + "/") as page:
-        assert [each["path"] for each in page.get("/api/printer/files").json()] == ["parts/a b.gcode"]
-        for path in ("../moonraker.conf", "notes.txt", "parts/../parts/a b.gcode"):
-            assert page.post("/api/printer/fetch", json={"path": path}).status_code == 404
-        got = page.post("/api/printer/fetch", json={"path": "parts/a b.gcode"}).json()
-        job = wait_for(page, started(page, "compensate", [got["id"]], machine="kossel"))
-        assert job["state"] == "done", job["error"]
-        for name in ("parts/a b_ffcomp.gcode", "parts/a b_ffcomp2.gcode"):
-            answer = page.post(f"/api/jobs/{job['id']}/send", json={})
-            assert answer.json() == {"path": name}
-            assert kind.files[name] == page.get(f"/api/jobs/{job['id']}/files/a b.gcode").content
-        assert kind.files["parts/a b.gcode"] == WIGGLE and kind.started == []
-
-
-def test_a_printer_that_does_not_answer_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with client(tmp_path, monkeypatch, moonraker="http://127.0.0.1:9") as page:
-        answer = page.get("/api/printer/files")
-        assert answer.status_code == 502 and "cannot be reached" in answer.json()["error"]
-        assert page.get("/api/state").json()["printer"] is True

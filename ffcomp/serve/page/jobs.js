@@ -5,14 +5,14 @@ const WORDS = { queued: "waits", running: "runs", done: "done", failed: "failed"
 const MOST_FACTS = 8; // more are folded: the picture and the finding come first
 const drawn = new Map(); // id -> {text, card}
 
-/** Draw the jobs; a card asks the page by {printer, choose, look} to choose a machine and to look again. */
+/** Draw the jobs; a card asks the page by {choose, look} to choose a machine and to look again. */
 export function showJobs(jobs, page) {
   const place = document.querySelector("#jobs");
   document.querySelector("#nothing").hidden = jobs.length > 0;
   const ids = new Set(jobs.map((job) => job.id));
   for (const [id, { card }] of drawn) if (!ids.has(id)) { card.remove(); drawn.delete(id); }
   jobs.forEach((job, k) => {
-    const text = JSON.stringify([job, page.printer]);
+    const text = JSON.stringify(job);
     let old = drawn.get(job.id);
     if (!old || old.text !== text) {
       const card = old && job.state === "running" && old.state === "running" ? advance(old.card, job) : cardOf(job, page);
@@ -86,11 +86,10 @@ const file = (job, name, view) => `api/jobs/${job.id}/files/${encodeURIComponent
 
 function buttons(job, page) {
   const row = make("p", { className: "do" });
-  const act = (name, label, asked = {}, className = "") => row.append(make("button", { textContent: label, className, onclick: async (event) => {
+  const act = (name, label, className = "") => row.append(make("button", { textContent: label, className, onclick: async (event) => {
     event.target.disabled = true;
-    const answer = await attempt(() => ask(`api/jobs/${job.id}/${name}`, asked));
+    await attempt(() => ask(`api/jobs/${job.id}/${name}`, {}));
     event.target.disabled = false;
-    if (answer && answer.path) event.target.replaceWith(make("span", { className: "state done", textContent: `On the printer: ${answer.path}` }));
     await page.look();
   } }));
   if (["queued", "running"].includes(job.state)) { act("cancel", "Cancel"); return row; }
@@ -99,9 +98,8 @@ function buttons(job, page) {
     if (job.outputs.includes("better.toml")) row.append(keeping(job, page));
     for (const name of job.outputs.filter((each) => !["picture.svg", "report.html"].includes(each)))
       row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
-    if (page.printer && job.kind === "compensate") act("send", "Put it on the printer");
   } else act("again", "Again");
-  act("remove", "Remove", {}, "plain");
+  act("remove", "Remove", "plain");
   return row;
 }
 

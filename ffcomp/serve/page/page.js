@@ -16,15 +16,13 @@ function open(tab) {
     one(`#${each.getAttribute("aria-controls")}`).hidden = each !== tab;
   }
   one(".machine").hidden = tab.id === "tab-machine";
-  if (tab.id === "tab-printer") attempt(listPrinter);
 }
 tabs.forEach((tab) => {
   tab.addEventListener("click", () => open(tab));
   tab.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;
-    const shown = tabs.filter((each) => !each.hidden);
-    const next = shown[(shown.indexOf(tab) + step + shown.length) % shown.length];
+    const next = tabs[(tabs.indexOf(tab) + step + tabs.length) % tabs.length];
     open(next);
     next.focus();
   });
@@ -256,33 +254,6 @@ function offer(select, plans, without) {
   ready();
 }
 
-// ---- the printer ----
-
-let printed = [];
-async function listPrinter() {
-  printed = await ask("api/printer/files");
-  showPrinted();
-}
-function showPrinted() {
-  const wanted = one("#search").value.toLowerCase();
-  const shown = printed.filter((file) => file.path.toLowerCase().includes(wanted)).slice(0, 100);
-  one("#printer-files").replaceChildren(...shown.map((file) => make("li", {},
-    make("span", { className: "name", textContent: file.path }),
-    make("span", { className: "size", textContent: `${bytes(file.bytes)}, ${new Date(1000 * file.modified).toLocaleDateString()}` }),
-    make("button", { textContent: "Compensate", onclick: (event) => compensatePrinted(event.target, file) }))));
-}
-async function compensatePrinted(button, file) {
-  button.disabled = true;
-  await attempt(async () => {
-    if (!machines.value) throw new Error("Choose your printer's machine first.");
-    const upload = await ask("api/printer/fetch", { path: file.path });
-    await start("compensate", [upload.id]);
-  });
-  button.disabled = false;
-  await look();
-}
-one("#search").addEventListener("input", showPrinted);
-
 // ---- watching ----
 
 let timer;
@@ -292,12 +263,11 @@ async function look() {
   try {
     const state = await ask("api/state");
     one("#version").textContent = `Version ${state.version}.`;
-    one("#tab-printer").hidden = !state.printer;
     largest = state.largest_mb * 1048576;
     showMachines(state.machines);
     chooseImported(state.jobs);
     showPlans(state.jobs);
-    showJobs(state.jobs, { printer: state.printer, choose, look });
+    showJobs(state.jobs, { choose, look });
     active = state.jobs.some((job) => ["queued", "running"].includes(job.state));
     if (one("#trouble").dataset.lost) { one("#trouble").hidden = true; delete one("#trouble").dataset.lost; }
   } catch (error) {
