@@ -28,7 +28,7 @@ from ffcomp.report.drawing import (
     plain_decades,
 )
 from ffcomp.simulation.forecast import Forecast
-from ffcomp.simulation.preview import Curve, Flow, Preview, preview
+from ffcomp.simulation.preview import Curve, Preview, preview
 from ffcomp.simulation.simulation import Simulation
 from ffcomp.version import __version__
 from gcode.container import read_bytes
@@ -37,7 +37,6 @@ from models.arrays import BoolArray, FloatArray
 
 WIDTH, LETTERS = 7.2, 88  # inches: readable on a phone; letters across the picture
 LAYER_MM = 0.15  # half the height of what counts as one layer
-RETIMED_SHARE = 0.02  # a print whose time changes by more gets a panel of speeds
 SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
 MAP_GROUND = "#f6f6f8"  # under the colours of the error, on dark screens too
 LEAST_UM = 0.01  # smaller errors are drawn as this
@@ -54,22 +53,16 @@ def show_figure(
     z_mm : the layer to show; None: the one with the largest error before, on an outer wall if there is any
     """
     at, error_mm = _worst(preview.before, z_mm)
-    more = [name for name, there in (("speed", retimed(preview)), ("flow", preview.flows is not None)) if there]
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(WIDTH, 7.6 + 1.6 * len(more)), dpi=200, layout="constrained")
+        figure = Figure(figsize=(WIDTH, 7.6), dpi=200, layout="constrained")
         lines = [title, forecast.expected.headline if forecast.expected else "", forecast.verdict]
         text = "\n".join(fill(line, LETTERS) for line in lines if line)
         figure.suptitle(text, fontsize=10, x=0.01, ha="left", parse_math=False)
-        heights = [1.1, 1.0, *(0.45 for _ in more)]
-        rows: list[Any] = [["close", "layers"], ["before", "after"], *([name] * 2 for name in more)]
-        panels = figure.subplot_mosaic(rows, height_ratios=heights)
+        rows: list[Any] = [["close", "layers"], ["before", "after"]]
+        panels = figure.subplot_mosaic(rows, height_ratios=[1.1, 1.0])
         _close_up(panels["close"], preview, at, half_width(error_mm))
         _by_layer(panels["layers"], preview)
         _maps(figure, panels["before"], panels["after"], preview, at)
-        if "speed" in more:
-            _speeds(panels["speed"], preview, at)
-        if preview.flows is not None:
-            _flows(panels["flow"], preview, preview.flows, at)
         figure.supxlabel(fill(footer, 2 * LETTERS), fontsize=6, color=SOFT)
     return figure
 
@@ -153,49 +146,6 @@ def _maps(figure: Figure, left: Axes, right: Axes, preview: Preview, at: FloatAr
         axes.tick_params(labelsize=8)
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=[left, right], label="contour error, µm", aspect=30)
     bar.ax.yaxis.set_major_formatter("{x:g}")
-
-
-def retimed(preview: Preview) -> bool:
-    """Return whether the print's time differs from the original's: then speeds matter too."""
-    before_s, after_s = (float(curve.t[-1] - curve.t[0]) for curve in (preview.before, preview.after))
-    return abs(after_s - before_s) > RETIMED_SHARE * before_s
-
-
-def _layer(curve: Curve, at: FloatArray) -> slice:
-    """Return the samples from the first to the last one in the layer."""
-    inside = np.flatnonzero(np.abs(curve.reference[:, 2] - at[2]) < LAYER_MM)
-    return slice(int(inside[0]), int(inside[-1]) + 1) if inside.size > 1 else slice(0, 0)
-
-
-def _speeds(axes: Axes, preview: Preview, at: FloatArray) -> None:
-    """Draw how fast the nozzle is in the layer, on each print's own clock."""
-    for curve, colour, name in ((preview.before, BEFORE, "as sliced"), (preview.after, AFTER, "now")):
-        part = _layer(curve, at)
-        if (t := curve.t[part]).size:
-            way = np.sqrt((np.diff(curve.nozzle[part], axis=0) ** 2).sum(axis=1))
-            label = f"{name}: {t[-1] - t[0]:.1f} s for this layer"
-            axes.plot(t[1:] - t[0], way / np.diff(t), color=colour, linewidth=0.8, label=label)
-    _strip(axes, "speed, mm/s")
-
-
-def _flows(axes: Axes, preview: Preview, flows: tuple[Flow, Flow], at: FloatArray) -> None:
-    looks: tuple[tuple[Curve, Flow, str, str], ...] = (
-        (preview.before, flows[0], BEFORE, "flow as sliced"),
-        (preview.after, flows[1], AFTER, "flow now"),
-    )
-    for curve, flow, colour, name in looks:
-        if (t := curve.t[_layer(curve, at)]).size:
-            axes.plot(t - t[0], flow.at(t), color=colour, linewidth=0.8, label=name)
-            if colour == BEFORE:
-                wanted = np.interp(t, flow.t, np.maximum(flow.pushed, 0.0))
-                axes.plot(t - t[0], wanted, color=REFERENCE, linewidth=0.6, label="wanted as sliced")
-    _strip(axes, "filament, mm/s")
-
-
-def _strip(axes: Axes, label: str) -> None:
-    axes.set(xlabel="time in this layer, s", ylabel=label, ylim=(0.0, None))
-    grid(axes)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8)
 
 
 def simulation_figure(result: Simulation) -> Figure:

@@ -37,52 +37,10 @@ from gcode.layers import labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
-from models.compiled import kernel
 from models.effects.catalogue import design_machine
-from models.machine import Machine, Pressure
+from models.machine import Machine
 
-STEP_S = 5e-4
 HEIGHT_MM = 0.05  # heights that differ by less are one layer
-SMOOTHED_S = 8e-3  # segments are steps of flow, which the plastic evens out
-
-
-@dataclass(frozen=True, eq=False)
-class Flow:
-    """Filament that should flow and does, at m times, mm/s; retractions are left out."""
-
-    t: FloatArray  # (m,) s
-    pushed: FloatArray  # (m,) by the plan's filament
-    flows: FloatArray  # (m,)
-
-    def at(self, t: FloatArray) -> FloatArray:
-        """Return what flows at times (k,) s, (k,) mm/s."""
-        return np.interp(t, self.t, self.flows)
-
-
-def flow_of(plan: Trajectory, pressure: Pressure) -> Flow:
-    """Play a plan's filament through the firmware's own pressure advance and an extruder of one state."""
-    t = np.arange(float(plan.start_t[0]), plan.end_t, STEP_S)
-    travels = np.any(plan.direction[:, :3] != 0.0, axis=1)[plan.move_at(t)]
-    along = travels[1:] & travels[:-1]
-    pushed = np.append(np.where(along, np.diff(plan.position(t)[:, 3]), 0.0) / STEP_S, 0.0)
-    by_motor = pushed + pressure.firmware_advance_s * np.gradient(pushed, STEP_S)
-    tau, v, n = pressure.time_constant_s, pressure.reference_mm_per_s, pressure.flow_exponent
-    out = _played(by_motor, STEP_S, tau * v, v, 1.0 / n)
-    window = np.ones(max(1, round(SMOOTHED_S / STEP_S)))
-    return Flow(t, pushed, np.convolve(out, window / window.sum(), mode="same"))
-
-
-@kernel
-def _played(pushed: FloatArray, step_s: float, compressed_there: float, v: float, power: float) -> FloatArray:
-    """Return what flows, (m,) mm/s; `compressed_there` is what is compressed where it flows at v."""
-    out = np.zeros(len(pushed))
-    compressed = 0.0
-    for k in range(len(pushed)):
-        compressed += pushed[k] * step_s
-        if compressed > 0.0:
-            out[k] = min(v * (compressed / compressed_there) ** power, compressed / step_s)
-            compressed -= out[k] * step_s
-    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +90,6 @@ class Preview:
     before: Curve
     after: Curve
     original: Original | None = None
-    flows: tuple[Flow, Flow] | None = None  # before and after, on their clocks; None: no pressure in the machine file
     pieces: Sequence[Piece] = ()  # of both prints; none where something else moves the nozzle
 
     def forecast(self, machine: Machine) -> Forecast:
@@ -168,16 +125,12 @@ def preview(
     of_before, of_after = (
         contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after))
     )
-    flows = None
-    if machine.pressure is not None:
-        flows = flow_of(reference, machine.pressure), flow_of(executed, machine.pressure)
     return Preview(
         corners,
         path_t,
         Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
         Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
-        flows,
         pieces_of(planned_motion(reference), motion_of(executed, clock), (path_t, corners)),
     )
 

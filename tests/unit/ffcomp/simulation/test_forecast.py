@@ -7,13 +7,10 @@ from dataclasses import replace
 import pytest
 
 from ffcomp.metrics import Track
-from ffcomp.report.show import show_figure
 from ffcomp.simulation.expectation import expectation_of
-from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast_in, stored_forecast
-from ffcomp.simulation.preview import preview
+from ffcomp.simulation.forecast import Forecast, forecast_in, stored_forecast
 from gcode.embedded import Stamp
 from models.file import load_machine
-from tests.unit.ffcomp.compensation.test_program import FREE, written
 
 MACHINE = load_machine("ender-3")
 EXPECTED = expectation_of(
@@ -46,17 +43,3 @@ def test_a_forecast_is_of_the_machine_that_the_file_was_compensated_for() -> Non
     assert forecast_in(tail, own, MACHINE, lambda: computed) == (made(), True)
     assert forecast_in(b"", own, MACHINE, lambda: computed) == (computed, False)
     assert forecast_in(tail, replace(own, sha256="0" * 8), MACHINE, lambda: computed) == (computed, False)
-
-
-# ---- flow ----
-
-
-def test_show_draws_the_flow_where_the_machine_file_states_the_pressure() -> None:
-    file = written(FREE)
-    machine = load_machine("mp-delta-pro")
-    with_flow = preview(file.text, "squares", replace(machine, pressure=FREE))
-    without = preview(file.text, "squares", machine)
-    assert without.flows is None and with_flow.flows is not None
-    drawn = [show_figure(each, NO_FORECAST, "squares") for each in (without, with_flow)]
-    labels = [[axes.get_ylabel() for axes in figure.axes] for figure in drawn]
-    assert ["filament, mm/s" in each for each in labels] == [False, True]
