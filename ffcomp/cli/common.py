@@ -26,6 +26,8 @@ from models.errors import MachineFileError
 
 if TYPE_CHECKING:
     from ffcomp.result import Result
+    from gcode.embedded import Stamp
+    from models.machine import Machine
 
 
 @contextmanager
@@ -131,3 +133,17 @@ def opened(target: str) -> bool:
 
     path = Path(target)
     return webbrowser.open(path.resolve().as_uri() if path.exists() else target)
+
+
+def machine_of(stamp: Stamp, file: Path) -> Machine:
+    """Find a stamp's machine: in the library, the user's folder, next to the print, or here.
+
+    Raises
+    ------
+    MachineFileError
+        If none of these files has the stamp's hash.
+    """
+    from models.file import find_by_sha256, load_machine
+
+    near = [path for folder in (file.parent, Path.cwd()) for path in sorted(folder.glob("*.toml"))]
+    return load_machine(find_by_sha256(stamp.sha256, stamp.machine, near).resolve())

@@ -34,7 +34,6 @@ def compensate(request: CompensateFilesRequest) -> Result:
 
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
-    from ffcomp.cli.machine_files import remember
     from ffcomp.compensation.batch import targets_of
     from ffcomp.compensation.job import Options
     from ffcomp.integrations.slicer import read_call
@@ -42,7 +41,6 @@ def compensate(request: CompensateFilesRequest) -> Result:
 
     targets = targets_of(request)
     machine, call = load_machine(str(request.machine)), read_call(os.environ)
-    remember(machine)
     advice = _advice(request, machine, call)
     if len(request.files) == 1:
         return _compensate_one(request, machine, targets[0], call, advice)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from ffcomp.cli.command import verb
+from ffcomp.cli.common import machine_of
 from ffcomp.errors import RequestError
 from ffcomp.estimation.request import EstimateFilesRequest
 from ffcomp.numerics.serialise import keys
@@ -83,7 +84,6 @@ def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
 
 def _machine(text: Source, path: str, name: str) -> Machine:
     """Load the named machine, or that of the print's stamp."""
-    from ffcomp.cli.machine_files import machine_of
     from ffcomp.estimation.engine import stamp_of
     from models.file import load_machine
 

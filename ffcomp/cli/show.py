@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import opened, say
+from ffcomp.cli.common import machine_of, opened, say
 from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
@@ -137,7 +137,6 @@ class ShowResult(Result):
 
 
 def _show(request: ShowRequest) -> ShowResult:
-    from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import show_figure
     from ffcomp.simulation.forecast import forecast_in
