@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import machine_of
 from ffcomp.errors import RequestError
 from ffcomp.estimation.request import EstimateFilesRequest
 from ffcomp.numerics.serialise import keys
-from ffcomp.options import FIGURE
-from ffcomp.request import OUTPUT, Option, Request
 from ffcomp.result import Fact, Result, clock
 
 if TYPE_CHECKING:
@@ -22,16 +20,8 @@ if TYPE_CHECKING:
     from models.machine import Machine
 
 
-@dataclass(frozen=True, kw_only=True)
-class EstimateShown(Request):
-    """Output of an estimate."""
-
-    layers: Annotated[bool, Option("Print a row for every layer.", OUTPUT)] = False
-    figure: Annotated[Path | None, FIGURE] = None
-
-
 @verb
-def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
+def estimate(request: EstimateFilesRequest) -> Result:
     """Estimate how long a print takes, by layer and by feature.
 
     ffcomp plans the print as the firmware does and adds up the time. Heating, homing and macros are listed but not
@@ -39,9 +29,7 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
 
     Example: ffcomp estimate sample_prints/ringing_tower.gcode --machine mp-delta-pro
     """
-    if details.figure is not None and len(request.files) > 1:
-        raise RequestError("--figure is for one file.")
-    found = [replace(each, lists_layers=details.layers) for file in request.files for each in _estimates(file, request)]
+    found = [replace(each, lists_layers=request.layers) for file in request.files for each in _estimates(file, request)]
     return found[0] if len(found) == 1 else Estimates(found)
 
 

@@ -33,7 +33,6 @@ class Estimate(Result):
     title = "Print time"
     schema = "ffcomp-estimate/1"
     json_keys: ClassVar = keys("machine", "flavor", "compensated", "original", input="path") | {ALL_OF: "statistics"}
-    drawn_by: ClassVar = {"times": "ffcomp.report.estimate:estimate_figure"}
 
     path: str
     machine: Machine

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ffcomp.options import FLAVOR, OFFSET, STAMPED_MACHINE, Offset
-from ffcomp.request import Argument, MachineLike, Request
+from ffcomp.request import OUTPUT, Argument, MachineLike, Option, Request
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,3 +32,4 @@ class EstimateFilesRequest(EstimateOptions):
 
     files: Annotated[tuple[Path, ...], Argument("Prints, compensated or not.", metavar="FILE...")]
     machine: Annotated[str, STAMPED_MACHINE] = ""
+    layers: Annotated[bool, Option("Print a row for every layer.", OUTPUT)] = False

@@ -20,8 +20,8 @@ EXAMPLES = ROOT / "docs" / "examples"
 @pytest.mark.parametrize(
     "words",
     [
-        ["estimate", str(EXAMPLES / "print.gcode"), "-m", "kossel", "--figure", "a.png"],
-        ["compare", str(EXAMPLES / "print.gcode"), "-m", "kossel", "--report", "a.html"],
+        ["estimate", str(EXAMPLES / "print.gcode"), "-m", "kossel", "--report", "a.html"],
+        ["frf", "-m", "kossel", "--figure", "a.png"],
     ],
     ids=lambda words: words[0],
 )
