@@ -1,4 +1,4 @@
-// The page's second half: jobs as cards, each drawn anew only where it has changed.
+// The page's second half: jobs as cards, each redrawn only if it has changed.
 import { ask, attempt, make } from "./asking.js";
 
 const WORDS = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "cancelled" };
@@ -68,7 +68,7 @@ function found(job) {
     const table = make("table", { className: "facts" }, make("tbody", {}, ...rows));
     parts.push(facts.length > MOST_FACTS ? make("details", {}, make("summary", { textContent: `All ${facts.length} numbers` }), table) : table);
   }
-  if (warnings.length) parts.push(list("Mind", warnings));
+  if (warnings.length) parts.push(list("Warnings", warnings));
   if (steps.length) parts.push(list("To do", steps));
   return parts;
 }

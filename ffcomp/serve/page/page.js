@@ -73,7 +73,7 @@ function upload(file, entry, redraw) {
       resolve();
       return;
     }
-    const request = new XMLHttpRequest(); // fetch() tells nothing of how far an upload is
+    const request = new XMLHttpRequest(); // fetch() does not report the progress of an upload
     request.open("POST", `api/files?name=${encodeURIComponent(file.name)}`);
     request.setRequestHeader("X-ffcomp", "1");
     request.upload.onprogress = (event) => { entry.share = event.loaded / event.total; redraw(); };
@@ -126,7 +126,7 @@ for (const kind of Object.keys(dropped)) {
   place.addEventListener("dragleave", () => place.classList.remove("over"));
   place.addEventListener("drop", (event) => { event.preventDefault(); place.classList.remove("over"); take(kind, event.dataTransfer.files); });
 }
-for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault()); // a file beside the place replaces no page
+for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault()); // a file dropped elsewhere does not replace the page
 
 // ---- what is started ----
 
@@ -145,8 +145,8 @@ function needs() {
     compensate: prints, compare: prints, import: here("config").length ? "" : "drop a configuration",
     plan: machine, excite: machine, page: machine, ringing: machine,
     scan: files("pictures", "drop the picture") || (one("#pages").value ? "" : "choose the page that you printed"),
-    fit: captures || tests || (plan === "plan" ? "choose moves to fit the numbers, and drop their captures" : ""),
-    diagnose: captures || tests || (plan === "plan" ? "" : "choose moves to find what is missing, and drop their captures"),
+    fit: captures || tests || (plan === "plan" ? "choose moves that fit the numbers, and drop their captures" : ""),
+    diagnose: captures || tests || (plan === "plan" ? "" : "choose moves that find a missing effect, and drop their captures"),
     update: captures || (recorded === 1 && here("captures").length > 1 ? "" : "drop one recorded print together with its captures"),
   };
 }
@@ -244,7 +244,7 @@ function showPlans(jobs) {
 function offer(select, plans, without) {
   const chosen = select.value, shown = [...select.options].map((each) => each.value);
   if (shown.length && plans.map((job) => job.id).join() === shown.filter(Boolean).join()) return;
-  const none = make("option", { value: "", textContent: plans.length ? without : "none yet: begin with the button above" });
+  const none = make("option", { value: "", textContent: plans.length ? without : "none yet: start with the button above" });
   const option = (job) => make("option", { value: job.id, textContent: `${job.title}, ${new Date(1000 * job.ended).toLocaleString()}` });
   const options = plans.map(option);
   options.forEach((each, k) => { each.dataset.kind = plans[k].kind; });
