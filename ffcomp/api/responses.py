@@ -50,7 +50,6 @@ class FrequencyResponses(Result):
     rows: tuple[str, ...]  # names of the outputs
     columns: tuple[str, ...]  # and of the inputs
     study: Study
-    full: bool = False  # in the figure: all nine responses, not only the diagonal
     number: int = 0  # of the position that the JSON object is of
 
     @property
@@ -122,7 +121,7 @@ def _mode(mode: NumberedMode) -> str:
     return f"{mode.frequency_hz:.1f} Hz (ζ {mode.damping_ratio:.3f}, {mode.kind})"
 
 
-def study_responses(request: FrfRequest) -> Study:
+def _study(request: FrfRequest) -> Study:
     """Compute the responses of a request, and read the measured ones that they are compared with."""
     machine = load_machine(request.machine)
     measured = [response for path in request.measured for response in read_frfs(path)]
@@ -193,7 +192,7 @@ def frf_request(request: FrfRequest) -> FrequencyResponses:
     --------
     >>> ffcomp.frf("mp-delta-pro", (0, 0)).values.shape
     """
-    result = study_responses(request)
+    result = _study(request)
     values = np.stack([station.value for station in result.stations])
     places = np.array([station.xy for station in result.stations])
     rows, columns = tuple(result.view.rows), tuple(result.view.columns)

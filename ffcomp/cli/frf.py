@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from ffcomp.cli.command import verb
 from ffcomp.identification.request import FrfRequest
 from ffcomp.options import FIGURE
-from ffcomp.request import OUTPUT, Option, Request
+from ffcomp.request import Request
 from ffcomp.result import Result
 
 
@@ -18,7 +18,6 @@ class FrfFigures(Request):
     """Picture of frequency responses."""
 
     figure: Annotated[Path | None, FIGURE] = None
-    full: Annotated[bool, Option("Draw all nine responses, not only the diagonal.", OUTPUT)] = False
 
 
 @verb
@@ -31,4 +30,4 @@ def frf(request: FrfRequest, figures: FrfFigures) -> Result:
     """
     from ffcomp.api.responses import frf_request
 
-    return replace(frf_request(request), full=figures.full)
+    return frf_request(request)

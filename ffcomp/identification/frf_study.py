@@ -84,13 +84,6 @@ class View:
         """(row, column) shown by default: the response of each output to its own input."""
         if self.rows == self.columns:
             return [(i, i) for i in range(len(self.rows))]
-        return self.all_pairs
-
-    @property
-    def all_pairs(self) -> list[Pair]:
-        """Every (row, column); of the sub-models only the diagonal is there."""
-        if not self.depends_on_place:
-            return [(i, i) for i in range(len(self.rows))]
         return [(i, k) for i in range(3) for k in range(3)]
 
 

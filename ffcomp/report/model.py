@@ -26,17 +26,16 @@ class Responses(Protocol):
     """The answer that is drawn."""
 
     study: Study
-    full: bool  # all nine responses, not only the diagonal
 
 
-def figure_of(responses: Responses, full: bool = False) -> Figure:
-    """Draw all nine responses, or only the diagonal."""
-    return bode_figure(responses.study, full or responses.full)
+def figure_of(responses: Responses) -> Figure:
+    """Draw the responses of the diagonal."""
+    return bode_figure(responses.study)
 
 
-def bode_figure(study: Study, full: bool = False) -> Figure:
+def bode_figure(study: Study) -> Figure:
     """Draw a row for each response, and below it the modes at each place, numbered as above the panels."""
-    pairs = study.view.all_pairs if full else study.view.pairs
+    pairs = study.view.pairs
     colours = [COLOURS[i % len(COLOURS)] for i in range(len(study.stations))]
     labels = [fill("  ".join(_said(station)), LETTERS) for station in study.stations]
     with matplotlib.rc_context(RC):
