@@ -18,8 +18,21 @@ from gcode.container import read_bytes
 from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 
 
-def compare_print(request: CompareRequest) -> Comparison:
-    """Compare every method on the print of a request."""
+def compare_request(request: CompareRequest) -> Comparison:
+    """Compare ffcomp with every input shaper on a print.
+
+    Parameters
+    ----------
+    progress : Called with the current step and the share of it that is done.
+
+    Raises
+    ------
+    GcodeError, MachineFileError, NothingToDo, RequestError
+
+    Examples
+    --------
+    >>> ffcomp.compare("print.gcode", "mp-delta-pro", only=["mzv"]).headline
+    """
     engine.names(request.only)
     machine, notes = load_machine(request.machine), list[str]()
     plant = load_machine(request.plant) if request.plant else None
@@ -47,22 +60,4 @@ def compare_print(request: CompareRequest) -> Comparison:
     return replace(done, notes=tuple(notes))
 
 
-def _compare(request: CompareRequest) -> Comparison:
-    """Compare ffcomp with every input shaper on a print.
-
-    Parameters
-    ----------
-    progress : Called with the current step and the share of it that is done.
-
-    Raises
-    ------
-    GcodeError, MachineFileError, NothingToDo, RequestError
-
-    Examples
-    --------
-    >>> ffcomp.compare("print.gcode", "mp-delta-pro", only=["mzv"]).headline
-    """
-    return compare_print(request)
-
-
-compare = function(CompareRequest, _compare)
+compare = function(CompareRequest, compare_request)

@@ -15,9 +15,17 @@ def load_machine(machine: str | Path | Machine) -> Machine:
     ----------
     machine : a name of the library (`ffcomp machines list`), the path of a TOML file, or a machine already
 
+    Returns
+    -------
+    Machine
+
     Raises
     ------
     models.errors.MachineFileError
         If the file cannot be read, with every mistake in it as a sentence.
+
+    Examples
+    --------
+    >>> ffcomp.load_machine("mp-delta-pro").limits.velocity_mm_per_s
     """
     return machine if isinstance(machine, Machine) else read_machine(str(machine))

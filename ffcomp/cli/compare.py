@@ -23,10 +23,10 @@ def compare(request: CompareRequest) -> Result:
 
     Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
     """
-    from ffcomp.api.comparison import compare_print
+    from ffcomp.api.comparison import compare_request
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:
-        return compare_print(replace(request, progress=progress.phase))
+        return compare_request(replace(request, progress=progress.phase))
 
 
 class _ExitWithoutThreads:

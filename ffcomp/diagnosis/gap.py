@@ -87,6 +87,10 @@ def gap_request(request: GapRequest) -> Discrepancy:
     Raises
     ------
     MeasurementError, MachineFileError
+
+    Examples
+    --------
+    >>> ffcomp.gap(["run-1.csv", "run-2.csv"], "mp-delta-pro").headline
     """
     plant = plant_of(request.machine)
     given = cast("tuple[Path | Recorded, ...]", request.recordings)
