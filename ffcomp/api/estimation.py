@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from ffcomp.api.machines import load_machine
 from ffcomp.estimation import engine as estimation
@@ -25,8 +24,8 @@ def _estimate(request: EstimateRequest) -> estimation.Estimate:
     """
     with opened(Path(request.file)) as container:
         source, machine = next(iter(container.prints.values())), load_machine(request.machine)
-        options: dict[str, Any] = {"flavor": request.flavor, "offset": request.offset_mm}
-        return estimation.estimate(source, str(request.file), machine, **options)
+        path, offset = str(request.file), request.offset_mm
+        return estimation.estimate(source, path, machine, flavor=request.flavor, offset=offset)
 
 
 estimate = function(EstimateRequest, _estimate)

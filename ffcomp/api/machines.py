@@ -21,8 +21,7 @@ def load_machine(machine: str | Path | Machine) -> Machine:
 
     Raises
     ------
-    models.errors.MachineFileError
-        If the file cannot be read, with every mistake in it as a sentence.
+    MachineFileError, with every mistake in the file as a sentence
 
     Examples
     --------

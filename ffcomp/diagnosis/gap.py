@@ -102,13 +102,7 @@ def gap_request(request: GapRequest) -> Discrepancy:
 
 
 def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy:
-    """Simulate the recordings with the machine and its effects, and compare.
-
-    Raises
-    ------
-    MeasurementError
-        If the recordings cannot belong to this machine or to each other.
-    """
+    """Simulate the recordings with the machine and its effects, and compare; MeasurementError if they cannot be its."""
     problem = problem_of(machine, recordings, ())
     check_alike(recordings)
     return gap_of(as_compared(problem))
