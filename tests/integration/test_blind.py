@@ -263,8 +263,8 @@ def test_the_score_of_known_verdicts() -> None:
         judged("single", mass, ["unknown"]),
         judged("nothing", {}, ["none"]),
         judged("nothing", {}, ["cogging"]),
-        judged("outside", {}, ["unknown"], outside="soft_tower"),
-        judged("outside", {}, ["cogging"], outside="soft_tower"),
+        judged("outside", {}, ["unknown"], outside="soft_bracket"),
+        judged("outside", {}, ["cogging"], outside="soft_bracket"),
         judged("pair", mass | late, ["effector_mass", "command_delay"]),
         judged("pair", mass | late, ["effector_mass"]),
     ]

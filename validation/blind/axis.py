@@ -1,28 +1,26 @@
-"""One axis by itself, driven by a position: the first axis of `straight`, the other one at rest.
+"""One axis by itself: the first axis of `straight`, the other one at rest, driven by a position.
 
-Its sensors are an encoder and an accelerometer on the load, or on the only mass.
+Its sensors are an encoder and an accelerometer on the load, or on the only mass. `servo` has those that a force drives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from validation.blind import straight
-from validation.blind.effects import presliding
-from validation.blind.real import FloatArray, Hide, Labels, Real, Rng, Tables, off_by, sign, slowed
-from validation.blind.straight import masses
-from validation.plants.shapes import BREAKS, DAHL, TANH
+from validation.blind import effects, straight
+from validation.blind.effects import by_name, of_kind, presliding
+from validation.blind.real import Drawn, FloatArray, Hide, Labels, Real, Rng, Tables, off_by, slowed
+from validation.blind.straight import belt_damping, masses
+from validation.plants.shapes import BREAKS, DAHL
 
-SMOOTH = ("coulomb_friction", "stribeck_friction")
-SHARED = ("guide_damping", "belt_damping", "belt_hardening", "belt_backlash", "cogging")
-# its catalogue has notches, a force along the axis, and slow sensors
-_OUTSIDE = """
-    off_centre_pulley warming_belt slow_driver swinging_cable fans_tone creeping_belt heavy_rotor one_sided_belt
-    clipping_sensor loose_load
-"""
-OUTSIDE: Mapping[str, Hide] = {name: straight.OUTSIDE[name] for name in _OUTSIDE.split()}
+OF_PRINTERS = (
+    "belt_position_stiffness torque_angle frame_mode sensor_gain sensor_misalignment sensor_time_offset "
+    "sensor_clock_drift"
+)
+NAMED = "missed_steps notched_wheel soft_bracket sluggish_sensor"  # by the catalogue of an axis, or of a printer only
 played, probes = straight.played, straight.probes
 
 
@@ -50,72 +48,58 @@ def draw_machine(rng: Rng, names: object = ()) -> Tables:
 
 
 def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
-    """Write its owner's file: every number is off by a normal error."""
+    """Write its owner's file."""
     plant = machine["plant"]
-    axis = {
-        "mass_kg": plant["carriage"][0],
-        "stiffness_n_per_m": plant["belt_k"][0],
-        "damping_n_s_per_m": plant["guide_b"][0],
-    }
+    numbers = {"stiffness_n_per_m": plant["belt_k"][0], "damping_n_s_per_m": plant["guide_b"][0]}
+    return written(plant, "position", numbers, ("mount_k", "mount_b"), error, rng)
+
+
+def written(
+    plant: Tables, driven_by: str, numbers: Mapping[str, float], coupling: Sequence[str], error: float, rng: Rng
+) -> Tables:
+    """Return a machine file of an axis, every number of which is off by a normal error.
+
+    coupling : names of the plant's stiffness and damping between two masses.
+    """
+    axis = {"mass_kg": plant["carriage"][0], **numbers}
     if plant["tool"][0] > 0:
-        axis |= {
-            "load_mass_kg": plant["tool"][0],
-            "coupling_stiffness_n_per_m": plant["mount_k"][0],
-            "coupling_damping_n_s_per_m": plant["mount_b"][0],
-        }
+        stiffness, damping = (plant[name][0] for name in coupling)
+        axis |= {"load_mass_kg": plant["tool"][0]}
+        axis |= {"coupling_stiffness_n_per_m": stiffness, "coupling_damping_n_s_per_m": damping}
     off = off_by(error, rng)
-    numbers = {key: off(value) for key, value in axis.items()}
-    written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "position", **numbers}}
-    return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
+    told = {"input": driven_by, **{key: off(value) for key, value in axis.items()}}
+    found: Tables = {"kinematics": {"type": "axis"}, "axis": told}
+    return found | ({"uncertainty": {"default": error}} if error > 0.02 else {})
 
 
 def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
     """Return the effects in the file's terms: a spring's change counts from the file's number, which is off."""
     if "belt_stiffness" not in tables:
         return tables
-    two = real["plant"]["tool"][0] > 0
-    stiffness = file["axis"]["coupling_stiffness_n_per_m" if two else "stiffness_n_per_m"]
-    change = real["plant"]["mount_k" if two else "belt_k"][0] / stiffness - 1
+    key = "coupling_stiffness_n_per_m" if real["plant"]["tool"][0] > 0 else "stiffness_n_per_m"
+    change = real["plant"][spring_of(real)][0] / file["axis"][key] - 1
     return {**tables, "belt_stiffness": {"relative_change": change}}
 
 
-def alone(name: str, hide: Hide) -> Hide:
-    """Return a printer's effect with the table of one axis.
-
-    Friction turns over as a tanh: friction that bends before it slides has a name of its own here.
-    """
-
-    def hidden(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-        table, changed = hide(rng, size, real)
-        own = {key: value[0] if isinstance(value, list) else value for key, value in table.items()}
-        return own, changed.having(dry_kind=TANH) if name.endswith("_friction") else changed
-
-    return hidden
+def spring_of(machine: Tables) -> str:
+    """Return the plant's name of the spring that decides how the load swings."""
+    return "mount_k" if machine["plant"]["tool"][0] > 0 and "servo" not in machine else "belt_k"
 
 
-def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a drive that is stiffer or softer than the file says."""
-    return stiffened(rng, size, real, "mount_k" if real.machine["plant"]["tool"][0] > 0 else "belt_k")
+def _stiffened(real: Real, by: FloatArray) -> Real:
+    which = spring_of(real.machine)
+    return real.changed("plant", **{which: (np.array(real.machine["plant"][which]) * (1 + by)).tolist()})
 
 
-def stiffened(rng: Rng, size: float, real: Real, which: str) -> tuple[Tables, Real]:
-    """Hide a spring that is stiffer or softer than the file says."""
-    change = size * sign(rng) * rng.uniform(0.12, 0.25)
-    stiff = [k * (1 + change) for k in real.machine["plant"][which]]
-    return {"relative_change": change}, real.changed("plant", **{which: stiff})
+AXIS = replace(straight.AXES, motors=1, stiffened=_stiffened, bends=False)
 
 
-def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide dry friction that bends before it slides."""
-    return presliding_friction(rng, real, size * rng.uniform(1.2, 4.0) * masses(real)[0], rng.uniform(1.5e-5, 6e-5))
-
-
-def presliding_friction(rng: Rng, real: Real, force: float, length: float) -> tuple[Tables, Real]:
-    """Hide a friction of one of three laws; the label has its length for Dahl's only."""
-    kind = int(rng.integers(DAHL, BREAKS + 1))
-    fields = presliding(rng, np.full(2, force), kind, length)
-    table = {"force_n": force} | ({"presliding_mm": 1e3 * length} if kind == DAHL else {})
-    return table, real.having(dry=[force, force], dry_kind=kind, **fields)
+def bristle_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+    """Hide a dry friction of one of three laws, that bends before it slides; the label has its length for Dahl's."""
+    force, length = size * rng.uniform(*kind.friction) * masses(real), rng.uniform(1.5e-5, 1.2e-4)
+    law = int(rng.integers(DAHL, BREAKS + 1))
+    table = {"force_n": float(force[0])} | ({"presliding_mm": 1e3 * length} if law == DAHL else {})
+    return table, real.having(dry=force, dry_kind=law, **presliding(rng, force, law, length))
 
 
 def sensor_lag(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -125,22 +109,6 @@ def sensor_lag(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return {"time_constant_s": lag, "damping_ratio": np.sqrt(0.5)}, real.read_by(slowed(cutoff, size))
 
 
-def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a drive that is late."""
-    delay = size * rng.uniform(4e-4, 2e-3)
-
-    def late(t: FloatArray, command: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(t - delay, t, command[:, i]) for i in range(2)])
-
-    return {"delay_s": delay}, real.ordered(late)
-
-
-_PRINTERS = straight.effects_of("cartesian")
-EFFECTS: Mapping[str, Hide] = {
-    **{name: alone(name, _PRINTERS[name]) for name in SMOOTH},
-    "bristle_friction": bristle_friction,
-    **{name: alone(name, _PRINTERS[name]) for name in SHARED},
-    "belt_stiffness": belt_stiffness,
-    "command_delay": command_delay,
-    "sensor_lag": sensor_lag,
-}
+SHARED = {**effects.SHARED, **by_name(bristle_friction)}
+EFFECTS: Mapping[str, Hide] = of_kind(SHARED, AXIS, OF_PRINTERS) | by_name(belt_damping, sensor_lag)
+OUTSIDE: Mapping[str, Hide] = of_kind(effects.OUTSIDE, AXIS, NAMED) | by_name(straight.loose_load)

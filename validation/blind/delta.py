@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -199,11 +198,15 @@ TOWERS = Drawn(
     pulley_share=(0.15, 0.3),
     warm_share=(0.15, 0.3),
     warm_s=(0.8, 2.0),
-    cable_kg=(0.1, 0.25),
+    cable=(0.1, 0.25),
     fan=(0.4, 1.2),
-    fan_felt=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
+    felt=(1.0,) * 6,
     notch=(3.0, 8.0),
     springs=_springs,
+    stiffened=lambda real, by: real.changed("carriage", belt_stiffness_n_per_m=_springs(real) * (1 + by)),
+    of_belts=_forces,
+    stretch_m=lambda _: (2e-4, 4e-4),
+    softens=0.3,
 )
 
 
@@ -211,23 +214,6 @@ def joint_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
     """Hide friction of the joints."""
     force = size * rng.uniform(0.8, 3.0)
     return {"force_n": force}, real.having(joint=force, joint_bristle=rng.uniform(1.5e-5, 5e-5))
-
-
-# ---- belts and motors ----------------------------------------------------------------------------
-
-
-def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide belts tighter or slacker than the file says."""
-    change = size * TOWERS.each(rng, sign(rng) * rng.uniform(0.12, 0.25))
-    stiffness = real.machine["carriage"]["belt_stiffness_n_per_m"] * (1 + change)
-    return {"relative_change": told(change)}, real.changed("carriage", belt_stiffness_n_per_m=stiffness)
-
-
-def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """With a fifth power that comes to a tenth of the third at 0.3 mm, and always hardens."""
-    soft = rng.random() < 0.3
-    cubic = size * (-rng.uniform(1e11, 2.5e11) if soft else rng.uniform(4e11, 1.6e12)) * np.ones(3)
-    return {"cubic_n_per_m3": told(cubic)}, real.having(cubic=cubic, quintic=0.1 * np.abs(cubic) / 9e-8)
 
 
 # ---- effector, frame, geometry -------------------------------------------------------------------
@@ -287,41 +273,10 @@ def force_map(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
     return {}, real.changed("effector", force_map=other[said] if size > 0 else said)
 
 
-# ---- the measurement -----------------------------------------------------------------------------
-
-
-def sensor_gain(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide two channels that read too much or too little."""
-    wrong = rng.permutation(6) < 2
-    gain = size * wrong * rng.choice([-1.0, 1.0], 6) * rng.uniform(0.05, 0.15, 6)
-
-    def read(r: Reading) -> Reading:
-        return replace(r, carriage=r.carriage * (1 + gain[:3]), nozzle=r.nozzle * (1 + gain[3:]))
-
-    table = {"carriage_relative_change": gain[:3].tolist(), "nozzle_relative_change": gain[3:].tolist()}
-    return table, real.read_by(read)
-
-
-_OWN = by_name(
-    belt_stiffness,
-    belt_hardening,
-    effector_mass,
-    center_of_mass,
-    extruder_mount,
-    joint_friction,
-    arm_geometry,
-    arm_inertia,
-    force_map,
-    sensor_gain,
-)
-_KNOWN: Mapping[str, Hide] = {**of_kind(SHARED, TOWERS), **_OWN}
-_ORDER = """
-    coulomb_friction stribeck_friction guide_damping belt_stiffness belt_hardening belt_position_stiffness
-    belt_backlash command_delay cogging torque_angle effector_mass center_of_mass extruder_mount joint_friction
-    frame_mode arm_geometry arm_inertia force_map sensor_gain sensor_misalignment sensor_time_offset
-    sensor_clock_drift
-"""  # in which the benchmark draws them
-EFFECTS: Mapping[str, Hide] = {name: _KNOWN[name] for name in _ORDER.split()}
+EFFECTS: Mapping[str, Hide] = {
+    **of_kind(SHARED, TOWERS),
+    **by_name(effector_mass, center_of_mass, extruder_mount, joint_friction, arm_geometry, arm_inertia, force_map),
+}
 
 
 def loose_extruder(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -330,10 +285,4 @@ def loose_extruder(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
     return {}, real.having(stop_gap=rng.uniform(0.1e-3, 0.3e-3), stop_k=size * rng.uniform(4.0, 9.0) * stiffness)
 
 
-_SHARED = of_kind(effects.OUTSIDE, TOWERS)
-_OTHERS: Mapping[str, Hide] = {**_SHARED, "soft_tower": _SHARED["soft_bracket"], "loose_extruder": loose_extruder}
-_ORDER_OUTSIDE = """
-    off_centre_pulley warming_belt slow_driver missed_steps swinging_cable fans_tone notched_wheel soft_tower
-    loose_extruder creeping_belt heavy_rotor sluggish_sensor clipping_sensor
-"""  # in which the benchmark draws them
-OUTSIDE: Mapping[str, Hide] = {name: _OTHERS[name] for name in _ORDER_OUTSIDE.split()}
+OUTSIDE: Mapping[str, Hide] = of_kind(effects.OUTSIDE, TOWERS, "one_sided_belt") | by_name(loose_extruder)

@@ -39,9 +39,9 @@ from validation.plants.shapes import BREAKS, TANH
 Drawing: TypeAlias = Callable[[Drawn, Rng, float, Real], tuple[Tables, Real]]
 
 
-def of_kind(drawings: Mapping[str, Drawing], kind: Drawn) -> dict[str, Hide]:
-    """Return how one kind of printer hides each of these."""
-    return {name: partial(hide, kind) for name, hide in drawings.items()}
+def of_kind(drawings: Mapping[str, Drawing], kind: Drawn, lacking: str = "") -> dict[str, Hide]:
+    """Return how one kind of printer hides each of these, but for what it lacks."""
+    return {name: partial(hide, kind) for name, hide in drawings.items() if name not in lacking.split()}
 
 
 def by_name(*hides: Any) -> dict[str, Any]:
@@ -52,10 +52,11 @@ def by_name(*hides: Any) -> dict[str, Any]:
 # ---- friction ------------------------------------------------------------------------------------
 
 
-def _dry(rng: Rng, force: FloatArray) -> dict[str, Any]:
+def _dry(kind: Drawn, rng: Rng, force: FloatArray) -> dict[str, Any]:
     """Draw a tanh, or a bristle that bends for some µm before it slides, of any kind."""
-    kind, length, speed = int(rng.integers(TANH, BREAKS + 1)), rng.uniform(1.2e-5, 4e-5), rng.uniform(1e-3, 2e-3)
-    return {"dry_kind": kind, "dry_v": speed, **presliding(rng, force, kind, length)}
+    law = int(rng.integers(TANH, BREAKS + 1)) if kind.bends else TANH
+    length, speed = rng.uniform(1.2e-5, 4e-5), rng.uniform(1e-3, 2e-3)
+    return {"dry_kind": law, "dry_v": speed, **presliding(rng, force, law, length)}
 
 
 def presliding(rng: Rng, force: FloatArray, kind: int, length: float) -> dict[str, Any]:
@@ -68,7 +69,7 @@ def presliding(rng: Rng, force: FloatArray, kind: int, length: float) -> dict[st
 def coulomb_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide dry friction of the guides."""
     force = size * kind.each(rng, rng.uniform(*kind.friction)) * kind.loads(real)
-    return kind.forces(real, force_n=force), real.having(dry=force, **_dry(rng, force))
+    return kind.forces(real, force_n=force), real.having(dry=force, **_dry(kind, rng, force))
 
 
 def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -76,7 +77,7 @@ def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[T
     force = size * rng.uniform(*kind.stiction) * kind.loads(real)
     extra, speed = rng.uniform(0.5, 1.2) * force, rng.uniform(6.0, 25.0)
     table = {**kind.forces(real, force_n=force, extra_force_n=extra), "velocity_mm_per_s": speed}
-    return table, real.having(dry=force, stick=extra, stick_v=speed / 1e3, stick_power=1.0, **_dry(rng, force))
+    return table, real.having(dry=force, stick=extra, stick_v=speed / 1e3, stick_power=1.0, **_dry(kind, rng, force))
 
 
 def guide_damping(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -86,6 +87,19 @@ def guide_damping(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table
 
 
 # ---- belts and motors ----------------------------------------------------------------------------
+
+
+def belt_stiffness(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+    """Hide belts tighter or slacker than the file says: one, or all."""
+    change = size * kind.some(rng) * kind.each(rng, sign(rng) * rng.uniform(0.12, 0.25))
+    return {"relative_change": told(change)}, kind.stiffened(real, change)
+
+
+def belt_hardening(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+    """Hide a cubic force, with a fifth power that comes to a tenth of it at the usual stretch, and always hardens."""
+    stretch, way = rng.uniform(*kind.stretch_m(real)), -0.25 if rng.random() < kind.softens else 1.0
+    cubic = size * way * 0.5 * kind.springs(real) / stretch**2
+    return kind.of_belts(real, cubic_n_per_m3=cubic), real.having(cubic=cubic, quintic=0.1 * abs(cubic) / stretch**2)
 
 
 def belt_position_stiffness(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -121,8 +135,8 @@ def _late(rng: Rng, delay: FloatArray) -> Order:
 
     def late(t: FloatArray, command: FloatArray) -> FloatArray:
         wander = 1 + 0.01 * np.sin(np.outer(t, 2 * np.pi * pace) + phase).sum(axis=1)
-        at = np.clip(t[:, None] - delay * wander[:, None], 0.0, None)
-        return np.column_stack([CubicSpline(t, command[:, i])(at[:, i]) for i in range(len(delay))])
+        at = np.clip(t[:, None] - np.broadcast_to(delay, command.shape[1]) * wander[:, None], 0.0, None)
+        return np.column_stack([CubicSpline(t, own)(late) for own, late in zip(command.T, at.T, strict=True)])
 
     return late
 
@@ -166,6 +180,19 @@ def frame_mode(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, 
 
 
 # ---- the measurement -----------------------------------------------------------------------------
+
+
+def sensor_gain(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+    """Hide that one in three channels reads too much or too little."""
+    felt, gain = np.flatnonzero(kind.felt), np.zeros(6)
+    wrong = rng.permutation(felt)[: max(len(felt) // 3, 1)]
+    gain[wrong] = size * rng.choice([-1.0, 1.0], len(wrong)) * rng.uniform(0.05, 0.15, len(wrong))
+    table = {"carriage_relative_change": gain[:3].tolist()} if np.any(kind.felt[:3]) else {}
+
+    def read(r: Reading) -> Reading:
+        return replace(r, carriage=r.carriage * (1 + gain[:3]), nozzle=r.nozzle * (1 + gain[3:]))
+
+    return {**table, "nozzle_relative_change": gain[3:].tolist()}, real.read_by(read)
 
 
 def sensor_misalignment(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -223,15 +250,15 @@ def missed_steps(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables
 
 def swinging_cable(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a bundle of cables and filament that hangs on the moving part, and swings by itself."""
-    mass, hertz, ratio = size * rng.uniform(*kind.cable_kg), rng.uniform(6.0, 16.0), rng.uniform(0.05, 0.15)
-    omega = 2 * np.pi * hertz
+    mass, omega = size * rng.uniform(*kind.cable) * kind.loads(real).mean(), 2 * np.pi * rng.uniform(6.0, 16.0)
+    ratio = rng.uniform(0.05, 0.15)
     kept = mass if size > 0 else 1.0
     return {}, real.having(cable_mass=kept, cable_k=mass * omega**2, cable_b=2 * ratio * omega * mass)
 
 
 def fans_tone(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a fan that starts with every run shakes all sensors at its own frequency."""
-    return {}, real.read_by(hummed(rng, size * rng.uniform(*kind.fan, 6) * kind.fan_felt))
+    return {}, real.read_by(hummed(rng, size * rng.uniform(*kind.fan, 6) * kind.felt))
 
 
 def notched_wheel(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -284,12 +311,15 @@ SHARED: Mapping[str, Drawing] = by_name(
     coulomb_friction,
     stribeck_friction,
     guide_damping,
+    belt_stiffness,
+    belt_hardening,
     belt_position_stiffness,
     belt_backlash,
     command_delay,
     cogging,
     torque_angle,
     frame_mode,
+    sensor_gain,
     sensor_misalignment,
     sensor_time_offset,
     sensor_clock_drift,

@@ -96,6 +96,9 @@ class Drawn:
     loads: Callable[[Real], FloatArray]  # (motors,), what a force of one is on each motor, N
     forces: Callable[..., Tables]  # of a printer and arrays (motors,) by key: a file's table of forces
     springs: Callable[[Real], FloatArray]  # (motors,) N/m
+    stiffened: Callable[[Real, FloatArray], Real]  # by these shares, (motors,)
+    of_belts: Callable[..., Tables]  # as `forces`, of the belts
+    stretch_m: Callable[[Real], Range]  # at which a belt that hardens is half as stiff again
     uneven: Range  # where motors differ, each is so many times the middle
     friction: Range
     stiction: Range
@@ -112,10 +115,12 @@ class Drawn:
     pulley_share: Range
     warm_share: Range
     warm_s: Range
-    cable_kg: Range
+    cable: Range  # kg, or a share of what `loads` has
     fan: Range
-    fan_felt: tuple[float, ...]  # (6,): 1 where a sensor of carriages or nozzle is
+    felt: tuple[float, ...]  # (6,): 1 where a sensor of carriages or nozzle is
     notch: Range
+    softens: float = 0.0  # share of the belts that harden which soften
+    bends: bool = True  # whether dry friction may bend before it slides
 
     def each(self, rng: Rng, value: float) -> FloatArray:
         """Draw the same for every motor, or as often as not different ones: (motors,)."""

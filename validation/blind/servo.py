@@ -12,16 +12,17 @@ import copy
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from validation.blind import effects
-from validation.blind.axis import alone, presliding_friction, stiffened
-from validation.blind.effects import by_name
+from validation.blind.axis import AXIS, OF_PRINTERS, SHARED, restated, written
+from validation.blind.effects import by_name, of_kind
 from validation.blind.motions import Motion, points
-from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, sign
-from validation.blind.straight import AXES, masses, springs
+from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, sign
+from validation.blind.straight import loose_load, masses
 from validation.plants.forced_axis import axis_of, follow, pushed, servo_of
 
 STEP_S, KEPT_EVERY = 1 / 12800, 2
@@ -69,29 +70,11 @@ def draw_machine(rng: Rng, names: Sequence[str] = ()) -> Tables:
 
 
 def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
-    """Write its owner's file: every number is off by a normal error."""
-    plant = machine["plant"]
-    axis = {"mass_kg": plant["carriage"][0], "damping_n_s_per_m": plant["ground"][0]}
-    if plant["tool"][0] > 0:
-        axis |= {
-            "load_mass_kg": plant["tool"][0],
-            "coupling_stiffness_n_per_m": plant["belt_k"][0],
-            "coupling_damping_n_s_per_m": plant["belt_c"][0],
-        }
-    off = off_by(error, rng)
-    axis = {key: off(value) for key, value in axis.items()}
-    if error == 0.0:  # otherwise the zero of the force's sensor is unknown
-        axis["offset_n"] = plant["offset"]
-    written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "force", "stiffness_n_per_m": 0.0, **axis}}
-    return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
-
-
-def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
-    """Return the effects in the file's terms: a coupling's change counts from the file's number, which is off."""
-    if "belt_stiffness" not in tables:
-        return tables
-    change = real["plant"]["belt_k"][0] / file["axis"]["coupling_stiffness_n_per_m"] - 1
-    return {**tables, "belt_stiffness": {"relative_change": change}}
+    """Write its owner's file."""
+    numbers = {"damping_n_s_per_m": machine["plant"]["ground"][0]}
+    found = written(machine["plant"], "force", numbers, ("belt_k", "belt_c"), error, rng)
+    zero = {} if error else {"offset_n": machine["plant"]["offset"]}  # of the force's sensor: usually unknown
+    return {**found, "axis": {**found["axis"], "stiffness_n_per_m": 0.0, **zero}}
 
 
 def probes(machine: Tables, by: float) -> Iterator[Tables]:
@@ -236,14 +219,24 @@ def turning_columns(machine: Tables, measured: Mapping[str, FloatArray]) -> dict
 
 # ---- what they hide ------------------------------------------------------------------------------
 
-FORCED = replace(AXES, friction=(0.3, 1.5), stiction=(0.4, 1.5), grease=(2.0, 8.0), play_mm=(0.04, 0.12))
 LOUD_M_PER_S2 = 4.0  # under which a coupling that hardens has its usual stretch
 
 
-def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide dry friction that bends before it slides."""
-    force = size * rng.uniform(*FORCED.friction) * masses(real)[0]
-    return presliding_friction(rng, real, float(force), rng.uniform(1.5e-5, 1.2e-4))
+def _stretches(real: Real) -> tuple[float, float]:
+    """Return the usual stretches of a coupling, m."""
+    plant = real.machine["plant"]
+    usual = LOUD_M_PER_S2 * (float(plant["tool"][0] / max(plant["belt_k"][0], 1e-9)) or 1.0)
+    return 0.6 * usual, 1.5 * usual
+
+
+FORCED = replace(
+    AXIS,
+    friction=(0.3, 1.5),
+    stiction=(0.4, 1.5),
+    grease=(2.0, 8.0),
+    play_mm=(0.04, 0.12),
+    stretch_m=_stretches,
+)
 
 
 def friction_by_direction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -281,31 +274,9 @@ def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return {"delay_s": delay}, real.having(delay=delay, **wander)
 
 
-def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a coupling that is stiffer or softer than the file says."""
-    return stiffened(rng, size, real, "belt_k")
-
-
-def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a coupling that hardens: half as much again at about its usual stretch, a fifth power beyond."""
-    stretch = rng.uniform(0.6, 1.5) * LOUD_M_PER_S2 * _softness(real)
-    cubic = size * 0.5 * springs(real) / stretch**2
-    return {"cubic_n_per_m3": float(cubic[0])}, real.having(cubic=cubic, quintic=0.1 * cubic / stretch**2)
-
-
-def _softness(real: Real) -> float:
-    """Return by how much the coupling is stretched by 1 m/s², m."""
-    plant = real.machine["plant"]
-    return float(plant["tool"][0] / max(plant["belt_k"][0], 1e-9)) or 1.0
-
-
-_ALONE = {name: alone(name, hide) for name, hide in effects.of_kind(effects.SHARED, FORCED).items()}
 EFFECTS: Mapping[str, Hide] = {
-    **{name: _ALONE[name] for name in ("coulomb_friction", "stribeck_friction")},
-    **by_name(bristle_friction),
-    **{name: _ALONE[name] for name in ("guide_damping", "belt_backlash")},
-    **by_name(friction_by_direction, quadratic_drag, ground_spring, cogging_force),
-    **by_name(command_delay, belt_stiffness, belt_hardening),
+    **of_kind(SHARED, FORCED, f"{OF_PRINTERS} cogging"),
+    **by_name(command_delay, friction_by_direction, quadratic_drag, ground_spring, cogging_force),
 }
 
 
@@ -345,20 +316,6 @@ def commutation(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return {}, real.having(commute=size * rng.uniform(0.1, 0.25), **wave)
 
 
-def swinging_cable(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a heavy cable that hangs on the end, and swings by itself."""
-    mass, omega = size * rng.uniform(0.06, 0.15) * masses(real)[0], 2 * np.pi * rng.uniform(6.0, 16.0)
-    fields = {"cable_k": mass * omega**2, "cable_b": 2 * rng.uniform(0.05, 0.15) * omega * mass}
-    return {}, real.having(cable_mass=mass if size > 0 else 1.0, **fields)
-
-
-def loose_load(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a load that slides where it is pushed harder than friction holds it."""
-    plant = real.machine["plant"]
-    carries = plant["tool"][0] or plant["carriage"][0]
-    return {}, real.having(loose=[size * rng.uniform(0.15, 0.3) * carries] * 2, loose_grip=rng.uniform(0.8, 2.0))
-
-
 def bent_rail(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a place where the rail pinches: dry friction there and nowhere else."""
     where = {"bump_at": rng.uniform(-8e-3, 8e-3), "bump_wide": rng.uniform(3e-3, 8e-3)}
@@ -371,12 +328,7 @@ def unbalanced_spindle(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]
     return {}, real.having(spin=size * rng.uniform(0.3, 1.0) * masses(real)[0], spin_wave=wave)
 
 
-OUTSIDE: Mapping[str, Hide] = by_name(
-    warming_motor,
-    weak_amplifier,
-    commutation,
-    swinging_cable,
-    loose_load,
-    bent_rail,
-    unbalanced_spindle,
-)
+OUTSIDE: Mapping[str, Hide] = {
+    "swinging_cable": partial(effects.swinging_cable, FORCED),
+    **by_name(loose_load, warming_motor, weak_amplifier, commutation, bent_rail, unbalanced_spindle),
+}

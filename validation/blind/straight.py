@@ -15,7 +15,7 @@ import numpy as np
 from validation.blind import effects
 from validation.blind.effects import SHARED, by_name, of_kind
 from validation.blind.motions import Motion, Place, points
-from validation.blind.real import Drawn, FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, sign, told
+from validation.blind.real import Drawn, FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, told
 from validation.plants import straight_plant as plant
 from validation.plants.straight_plant import turn_of
 
@@ -164,6 +164,14 @@ def of_mass(real: Real, **values: FloatArray) -> Tables:
     return {f"{key}_per_kg": told(value / masses(real)) for key, value in values.items()}
 
 
+def of_belts(real: Real, **values: FloatArray) -> Tables:
+    """Return forces of belts, (2,) each; those of a CoreXY's belts, which pull both axes, are not stated per mass."""
+    if real.machine["masses"] or real.machine["kinematics"]["type"] == "cartesian":
+        pulled = np.sum(turn_of(real.machine["kinematics"]["type"]) ** 2, axis=0)  # a file states axes
+        return of_mass(real, **{key: pulled * value for key, value in values.items()})
+    return {}
+
+
 AXES = Drawn(
     motors=2,
     loads=masses,
@@ -183,20 +191,15 @@ AXES = Drawn(
     pulley_share=(0.2, 0.35),
     warm_share=(0.2, 0.35),
     warm_s=(0.6, 1.5),
-    cable_kg=(0.06, 0.15),
+    cable=(0.1, 0.2),
     fan=(0.5, 1.5),
-    fan_felt=(0.0, 0.0, 0.0, 1.0, 1.0, 0.0),
+    felt=(0.0, 0.0, 0.0, 1.0, 1.0, 0.0),
     notch=(4.0, 10.0),
     springs=springs,
+    stiffened=lambda real, by: real.changed("plant", belt_k=(springs(real) * (1 + by)).tolist()),
+    of_belts=of_belts,
+    stretch_m=lambda _: (0.25e-3, 0.6e-3),
 )
-
-
-def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Both belts; or one only, which on a CoreXY lets x and y exchange motion."""
-    one = np.eye(2)[rng.integers(2)] if rng.random() < 0.5 else np.ones(2)
-    change = size * one * sign(rng) * rng.uniform(0.12, 0.25)
-    stiffness = springs(real) * (1 + change)
-    return {"relative_change": told(change)}, real.changed("plant", belt_k=stiffness.tolist())
 
 
 def belt_damping(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -220,27 +223,6 @@ def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, An
     if machine["kinematics"]["type"] == "axis":  # its file states dampers, not modes
         return changed, {"share": share}
     return changed, {"share": [*(modes_of(changed, axis)["belt_damping_share"][0] for axis in range(2)), 0.0]}
-
-
-def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """With a fifth power that comes to a tenth of the third where the force is a half more."""
-    cubic = size * springs(real) * (0.5 / rng.uniform(0.25e-3, 0.6e-3) ** 2)
-    pulled = np.sum(turn_of(real.machine["kinematics"]["type"]) ** 2, axis=0)  # a file states axes, which both pull
-    table = of_belts(real, cubic_n_per_m3=pulled * cubic)
-    return table, real.having(cubic=cubic, quintic=0.1 * cubic / 1.6e-7)
-
-
-def of_belts(real: Real, **values: FloatArray) -> dict[str, Any]:
-    """Return forces of belts, (2,) each; those of a CoreXY's belts are not stated per mass."""
-    if real.machine["masses"] or real.machine["kinematics"]["type"] == "cartesian":
-        return of_mass(real, **values)
-    return {}
-
-
-def sensor_gain(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """One of the two accelerometers' axes."""
-    gain = size * np.append(np.eye(2)[rng.integers(2)], 0.0) * sign(rng) * rng.uniform(0.05, 0.15)
-    return {"nozzle_relative_change": gain.tolist()}, real.read_by(lambda r: replace(r, nozzle=r.nozzle * (1 + gain)))
 
 
 def frame_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -289,41 +271,19 @@ def _middle_mm(real: Real) -> float:
     return 0.5 * float(real.machine["kinematics"]["x_range_mm"][1])
 
 
-_OWN = by_name(
-    belt_stiffness,
-    belt_damping,
-    belt_hardening,
-    frame_mode,
-    sensor_gain,
-    growing_bed,
-    toolhead_mode,
-    gantry_racking,
-)
-_KNOWN: Mapping[str, Hide] = {**of_kind(SHARED, AXES), **_OWN}
-_EVERYWHERE = """
-    coulomb_friction stribeck_friction guide_damping belt_stiffness belt_damping belt_hardening
-    belt_position_stiffness belt_backlash command_delay cogging torque_angle frame_mode sensor_gain
-    sensor_time_offset sensor_clock_drift
-"""  # in the order in which the benchmark draws them
-
-
 def effects_of(kind: str) -> Mapping[str, Hide]:
     """Return the effects that a printer of this kind can have: one chip feels x and y of a CoreXY only."""
-    own = {"corexy": ("sensor_misalignment", "gantry_racking", "toolhead_mode"), "cartesian": ("growing_bed",)}
-    more = own.get(kind, ())
-    return {name: _KNOWN[name] for name in (*_EVERYWHERE.split(), *more)}
+    of_one = {"corexy": by_name(gantry_racking, toolhead_mode), "cartesian": by_name(growing_bed)}
+    lacking = "" if kind == "corexy" else "sensor_misalignment"
+    return of_kind(SHARED, AXES, lacking) | by_name(belt_damping, frame_mode) | of_one[kind]
 
 
 def loose_load(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide a loose tray or spool on what moves: it slides where it is pushed harder than friction holds it."""
-    share, grip = size * rng.uniform(0.15, 0.3), rng.uniform(1.0, 2.5)
-    return {}, real.having(loose=share * masses(real), loose_grip=grip)
+    """Hide a loose tray, spool or load on what moves: it slides where it is pushed harder than friction holds it."""
+    plant = real.machine["plant"]
+    carries = plant["tool"] if "servo" in real.machine and plant["tool"][0] else plant["carriage"]
+    share, grip = size * rng.uniform(0.15, 0.3), rng.uniform(0.8, 2.5)
+    return {}, real.having(loose=share * np.array(carries), loose_grip=grip)
 
 
-_SHARED = of_kind(effects.OUTSIDE, AXES)
-_OTHERS: Mapping[str, Hide] = {**_SHARED, "soft_motor": _SHARED["soft_bracket"], "loose_load": loose_load}
-_ORDER_OUTSIDE = """
-    off_centre_pulley warming_belt slow_driver missed_steps swinging_cable fans_tone notched_wheel soft_motor
-    creeping_belt heavy_rotor one_sided_belt sluggish_sensor clipping_sensor loose_load
-"""  # in which the benchmark draws them
-OUTSIDE: Mapping[str, Hide] = {name: _OTHERS[name] for name in _ORDER_OUTSIDE.split()}
+OUTSIDE: Mapping[str, Hide] = of_kind(effects.OUTSIDE, AXES) | by_name(loose_load)

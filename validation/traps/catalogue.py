@@ -139,7 +139,7 @@ TRAPS: tuple[Trap, ...] = (
         refused("repeat"),
         Bench(in_run=_friction_in_first_repeats),
     ),
-    Trap("play", "a motor's bracket gives way", "a bracket", MISLED, Bench(outside=OUTSIDE["soft_tower"])),
+    Trap("play", "a motor's bracket gives way", "a bracket", MISLED, Bench(outside=OUTSIDE["soft_bracket"])),
     # around the chip
     _felt("fan", "a fan at 83 Hz, 2 m/s²", HARMLESS, m.tone(83.0, 2.0)),
     _felt("bump", "somebody bumps the table once", HARMLESS, m.bumped(1)),
