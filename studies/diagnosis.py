@@ -37,7 +37,16 @@ from ffcomp.errors import FfcompError
 from studies.diagnosis_rivals import rivals
 from studies.render import REPORTS, ROOT, results_of, save
 from validation.blind import score
-from validation.blind.bank import FULL, full_bank, label_path, make_case, open_labels, refusal_path, verdict_path
+from validation.blind.bank import (
+    FULL,
+    full_bank,
+    label_path,
+    make_case,
+    open_labels,
+    refusal_path,
+    same_bank,
+    verdict_path,
+)
 from validation.blind.kinds import KINDS, MACHINES
 from validation.blind.score import confusion_rows, miss, rate_of
 
@@ -106,16 +115,6 @@ def over(options: argparse.Namespace, work: Callable[[str], None], names: Iterab
 def tell(text: str) -> None:
     """Say what happens, with the time."""
     print(datetime.now(UTC).strftime("%H:%M:%S"), text, file=sys.stderr, flush=True)
-
-
-def same_bank(bank: Path, seconds: float) -> None:
-    """Cases of another length do not belong into the same folder."""
-    made_with = bank / "bank.json"
-    if not made_with.exists():
-        bank.mkdir(parents=True, exist_ok=True)
-        _write(made_with, {"seconds": seconds})
-    if (before := _read(made_with)["seconds"]) != seconds:
-        raise SystemExit(f"{bank} holds runs of {before:g} s; continue it with --seconds {before:g}, or take another.")
 
 
 # ---- asking --------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
 from pathlib import Path
@@ -22,12 +22,10 @@ import numpy as np
 from ffcomp.errors import FfcompError, MeasurementError, RequestError
 from validation.blind.cases import NEVER_TOGETHER, Case, Circumstances, Label, case
 from validation.blind.kinds import KINDS, MACHINES
-from validation.blind.score import Judged, summary
+from validation.blind.score import Judged
 from validation.blind.visible import Visibility
 
-SCHEMA = "ffcomp-bank-answers/1"
 VERDICTS = ("effects", "none", "unknown", "failed")
-Progress = Callable[[str], None]
 # of six cases on a machine three hide one effect, and one each two, nothing, and what is outside the catalogue
 ROUND = ("single", "nothing", "single", "outside", "single", "pair")
 # in turn, by machine and by what is hidden
@@ -173,42 +171,40 @@ def _opened(path: Path, seal: str) -> Label:
     return Label(**{**found, "visibility": seen, "around": around, "alike": alike})
 
 
-# ---- answers of others ---------------------------------------------------------------------------
+# ---- answers -------------------------------------------------------------------------------------
 
 
-def read_answers(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the verdict of each case.
+def judged_cases(bank: Path, names: Sequence[str]) -> list[Judged]:
+    """Open the labels of these cases, which all have their verdicts, and put them next to each other.
 
     Raises
     ------
     MeasurementError
-        With every mistake in the answers.
+        With the first mistake in a verdict.
+    SealedError
     """
-    if path.is_dir():
-        files = [file for file in sorted(path.glob("*.json")) if not file.stem.endswith("-proof")]
-        found = {file.stem: _json(file) for file in files}
-    else:
-        whole = _json(path)
-        if (
-            not isinstance(whole, Mapping)
-            or whole.get("schema") != SCHEMA
-            or not isinstance(whole.get("answers"), dict)
-        ):
-            raise MeasurementError(
-                str(path), [f'It needs "schema": "{SCHEMA}", and "answers" with a verdict for each case by its name.']
-            )
-        found = whole["answers"]
-    problems = [f"{name}: {why}" for name, answer in found.items() if (why := _mistake(answer))]
-    if problems:
-        raise MeasurementError(str(path), problems)
-    return {name: _complete(answer) for name, answer in found.items()}
+    labels = open_labels(bank, names)
+    return [Judged(name, label, read_verdict(verdict_path(bank, name))) for name, label in labels.items()]
 
 
-def _json(path: Path) -> Any:
+def read_verdict(path: Path) -> dict[str, Any]:
+    """Return a verdict as `ffcomp diagnose --json` prints it; effects may be names alone.
+
+    Raises
+    ------
+    MeasurementError
+    """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        answer = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise MeasurementError(str(path), [f"It is no JSON: {error}."]) from None
+    if why := _mistake(answer):
+        raise MeasurementError(str(path), [why])
+    named, alike = (
+        [each if isinstance(each, Mapping) else {"name": each} for each in answer.get(key, [])]
+        for key in ("effects", "confusable_with")
+    )
+    return {**answer, "effects": [{"parameters": {}, **each} for each in named], "confusable_with": alike}
 
 
 def _mistake(answer: Any) -> str:
@@ -225,38 +221,6 @@ def _mistake(answer: Any) -> str:
     return ""
 
 
-def _complete(answer: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an answer in the form of a verdict: names alone have no parameters."""
-    effects = [each if isinstance(each, Mapping) else {"name": each} for each in answer.get("effects", [])]
-    alike = [each if isinstance(each, Mapping) else {"name": each} for each in answer.get("confusable_with", [])]
-    return {**answer, "effects": [{"parameters": {}, **each} for each in effects], "confusable_with": alike}
-
-
-# ---- make and score ------------------------------------------------------------------------------
-
-
-def make_bank(
-    folder: Path, count: int, seed: int, seconds: float, machines: Sequence[str], progress: Progress = lambda _: None
-) -> list[str]:
-    """Write cases and sealed labels, and keep existing ones. Return the names of the cases, in order.
-
-    A case whose captures `record join` refuses has no runs to diagnose: it is left out, and `refused/` says why.
-
-    Raises
-    ------
-    RequestError
-        If the folder holds a bank of other runs.
-    """
-    asked = {"seed": seed, "seconds": seconds, "machines": list(machines)}
-    same_bank(folder, asked)
-    wanted = full_bank(count, seed, machines)
-    for number, (name, (seed_of_case, stratum)) in enumerate(wanted.items(), start=1):
-        if not label_path(folder, name).exists():
-            refusal = make_case(folder, name, seed_of_case, stratum, seconds)
-            progress(f"{name}: {refusal or 'made'}, {number} of {count}")
-    return [name for name in wanted if label_path(folder, name).exists()]
-
-
 def make_case(folder: Path, name: str, seed: int, stratum: str, seconds: float) -> str | None:
     """Write a case and seal its label, or note and return why `record join` refuses its captures."""
     try:
@@ -268,8 +232,8 @@ def make_case(folder: Path, name: str, seed: int, stratum: str, seconds: float) 
     return None
 
 
-def same_bank(folder: Path, asked: dict[str, Any]) -> None:
-    """Note what a bank is made of, or refuse another.
+def same_bank(folder: Path, seconds: float) -> None:
+    """Note how long the runs of a bank are, or refuse one of other runs.
 
     Raises
     ------
@@ -278,29 +242,6 @@ def same_bank(folder: Path, asked: dict[str, Any]) -> None:
     made_with = folder / "bank.json"
     if not made_with.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        made_with.write_text(json.dumps(asked), encoding="utf-8")
-    if (before := json.loads(made_with.read_text(encoding="utf-8"))) != asked:
-        raise RequestError(f"{folder} holds a bank of {before}, not of {asked}: take the same, or another folder.")
-
-
-def score_bank(folder: Path, answers: Path, partial: bool = False) -> dict[str, Any]:
-    """Open the seals of the answered cases, and score the answers.
-
-    Raises
-    ------
-    MeasurementError, RequestError, SealedError
-    """
-    known, given = cases_of(folder), read_answers(answers)
-    if not known:
-        raise RequestError(f"{folder} holds no bank: python -m validation.blind make -o {folder} makes one.")
-    if strange := sorted(set(given) - set(known)):
-        raise RequestError(f"{answers} answers {strange[0]}, which is no case of {folder}.")
-    missing = [name for name in known if name not in given]
-    if missing and not partial:
-        raise RequestError(
-            f"{len(missing)} of {len(known)} cases are not answered, {missing[0]} first; the labels stay sealed. "
-            "--partial scores the others."
-        )
-    done = [name for name in known if name in given]
-    labels = opened(folder, done)
-    return {**summary([Judged(name, labels[name], given[name]) for name in done]), "unanswered": len(missing)}
+        made_with.write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
+    if (before := json.loads(made_with.read_text(encoding="utf-8"))["seconds"]) != seconds:
+        raise RequestError(f"{folder} holds runs of {before:g} s: continue it with --seconds {before:g}.")

@@ -8,13 +8,13 @@ measured runs like any other.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
@@ -23,12 +23,10 @@ from ffcomp.record.result import recording_lines
 from models.file import load_machine
 from models.machine import Machine
 from validation.blind.motions import Motion
-from validation.blind.real import FloatArray, Reading, Rng, turned
-from validation.plants.accelerometer import klipper_text
+from validation.blind.real import FloatArray, Reading, Rng
+from validation.plants.accelerometer import Chip, draw_chip, klipper_text
 
 BEFORE_S, AFTER_S = 1.2, 0.7  # of the motion that is simulated around an experiment
-COUNT_M_PER_S2 = 3.9e-3 * 9.80665
-GRAVITY = np.array([0.0, 0.0, 9.80665])
 RATE_HZ = 1600.0
 LOST = 1 / 2000  # of the rows
 TURNS = np.array(
@@ -70,36 +68,22 @@ def joined_runs(machine_file: str, readings: Sequence[Reading], seed: int, rng: 
     """Return the texts of the runs by file name."""
     machine, plan = _planned(machine_file, seed, seconds)
     by_name = dict(zip([each.name for each in plan.experiments], readings, strict=True))
-    chip = _Chip(rng)
+    chip = draw_chip(rng, TURNS[rng.integers(len(TURNS))], rng.uniform(0.3, 2.0), RATE_HZ)
+    chip = replace(chip, noise_m_per_s2=rng.uniform(0.1, 0.2), coloured=True)
     with TemporaryDirectory() as folder:
         captures = []
         for each, repeat in plan.runs():
             path = Path(folder) / f"adxl345-{each.name}-{repeat}.csv"
-            path.write_text(chip.capture(by_name[each.name], each.duration_s, plan), encoding="utf-8")
+            path.write_text(_capture(chip, by_name[each.name], each.duration_s, plan, rng), encoding="utf-8")
             captures.append(path)
         found = join_captures(captures, plan, machine)
         found.check()
         return {f"{each.name}.csv": b"".join(recording_lines(each.recording)).decode() for each in found.joined}
 
 
-class _Chip:
-    """An accelerometer with its own clock, tilt, axes and noise."""
-
-    def __init__(self, rng: Rng) -> None:
-        about, angle = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(0.3, 2.0))
-        tilted = turned(angle * np.array([np.cos(about), np.sin(about), 0.0])).T
-        self.turn = TURNS[rng.integers(len(TURNS))] @ tilted
-        self.rate_hz = RATE_HZ * rng.uniform(0.99, 1.01)
-        self.level = rng.uniform(0.1, 0.2)
-        self.rng = rng
-
-    def capture(self, reading: Reading, duration_s: float, plan: Plan) -> str:
-        """Return the text of a capture; some rows are lost."""
-        first = BEFORE_S - plan.rest_before_s + self.rng.uniform() / self.rate_hz
-        t = np.arange(first, BEFORE_S + duration_s + plan.rest_after_s, 1 / self.rate_hz)
-        own = (CubicSpline(reading.t, reading.nozzle)(t) + GRAVITY) @ self.turn.T
-        white, other = self.rng.standard_normal((2, *own.shape))
-        own += self.level * (0.8 * white + 0.5 * lfilter([0.8], [1.0, -0.6], other, axis=0))
-        counted = 1e3 * COUNT_M_PER_S2 * np.rint(own / COUNT_M_PER_S2)
-        kept = self.rng.random(len(t)) > LOST
-        return klipper_text(t[kept] + 50.0, counted[kept], digits=4)
+def _capture(chip: Chip, reading: Reading, duration_s: float, plan: Plan, rng: Rng) -> str:
+    """Return the text of a capture; some rows are lost."""
+    first = BEFORE_S - plan.rest_before_s + rng.uniform() / chip.rate_hz
+    t = np.arange(first, BEFORE_S + duration_s + plan.rest_after_s, 1 / chip.rate_hz)
+    values, kept = chip.counts(CubicSpline(reading.t, reading.nozzle)(t), rng), rng.random(len(t)) > LOST
+    return klipper_text(t[kept] + 50.0, 1e3 * values[kept], digits=4)

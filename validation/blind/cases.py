@@ -211,7 +211,7 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     real, tables = _hidden(kind, machine, seed, sizes)
     file = kind.file_of(drawn, around.file_error, own[3])
     if free and kind.unknown:
-        file["uncertainty"] = {**file.get("uncertainty", {}), **{f'"{key}"': 1.0 for key in kind.unknown}}
+        file["uncertainty"] = {**file.get("uncertainty", {}), **dict.fromkeys(kind.unknown, 1.0)}
     motions, fresh = kind.motions(machine, own[2], seconds, short)
     repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(around, motions)
     if wanted.condition == "joined":
@@ -303,7 +303,7 @@ def _spreads(kind: Kind, machine: Tables, file: Tables, usual: float) -> tuple[f
     spreads = [usual for _ in kind.probes(machine, PROBE)]
     for key, at in kind.unknown.items():
         table, _, name = key.partition(".")
-        if f'"{key}"' in file.get("uncertainty", {}):
+        if key in file.get("uncertainty", {}):
             spreads[at] = file[table][name] / machine[table][name]
     return tuple(spreads)
 

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from validation.blind.real import (
     Drawn,
@@ -32,7 +33,6 @@ from validation.blind.real import (
     slipped,
     slowed,
     told,
-    turned,
 )
 from validation.plants.shapes import BREAKS, TANH
 
@@ -198,7 +198,7 @@ def sensor_gain(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables,
 def sensor_misalignment(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a sensor turned by three angles: it reads the same vector in its own axes."""
     angles = size * rng.uniform(1.5, 5.0, 3) * rng.choice([-1.0, 1.0], 3)
-    axes = turned(np.radians(angles))
+    axes = Rotation.from_rotvec(np.radians(angles)).as_matrix()
 
     def read(r: Reading) -> Reading:
         return replace(r, nozzle=r.nozzle @ axes)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
+import tomlkit
 from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -148,17 +149,6 @@ def off_by(error: float, rng: Rng) -> Callable[[float], float]:
     return lambda value: value * (1 + error * float(np.clip(rng.standard_normal(), -2.0, 2.0)))
 
 
-def turned(angles: FloatArray) -> FloatArray:
-    """(3, 3), columns the axes of a frame turned by a rotation vector: the series of exp, to rounding."""
-    x, y, z = angles
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    term, total = np.eye(3), np.eye(3)
-    for n in range(1, 16):
-        term = term @ cross / n
-        total = total + term
-    return total
-
-
 def combined(machine: Any, probed: Sequence[Any], times: Sequence[float]) -> Any:
     """Return the tables (or what is in them) moved so many times as far as each of the probed ones is."""
     if isinstance(machine, Mapping):
@@ -172,22 +162,16 @@ def combined(machine: Any, probed: Sequence[Any], times: Sequence[float]) -> Any
 
 def toml_of(machine: Tables, name: str) -> str:
     """Write the tables of a machine file as its text."""
-    lines = ['format = "ffcomp-machine/1"', f'name = "{name}"']
-    for title, table in machine.items():
-        lines += ["", f"[{title}]"]
-        inner = {key: value for key, value in table.items() if isinstance(value, dict)}
-        lines += [f"{key} = {_literal(value)}" for key, value in table.items() if key not in inner]
-        for key, values in inner.items():
-            lines += ["", f"[{title}.{key}]", *(f"{k} = {_literal(v)}" for k, v in values.items())]
-    return "\n".join(lines) + "\n"
+    return tomlkit.dumps({"format": "ffcomp-machine/1", "name": name, **_plain(machine)})
 
 
-def _literal(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
+def _plain(value: Any) -> Any:
+    """Return tables with Python's numbers, six digits each."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list):
-        return f"[{', '.join(_literal(x) for x in value)}]"
-    return f"{value:.6g}"
+        return [_plain(each) for each in value]
+    return value if isinstance(value, str) else float(f"{value:.6g}")
 
 
 # ---- orders and readings that are spoiled ----------------------------------------------------------

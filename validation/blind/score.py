@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.cases import CONDITIONS, HIDES, Label
+from validation.blind.cases import Label
 from validation.blind.kinds import KINDS
 
 FAILED = "failed"  # a verdict that is none: the tool ended with an error
@@ -303,22 +303,6 @@ def _left(j: Judged) -> float:
 # ---- the score as plain data ---------------------------------------------------------------------
 
 
-def summary(judged: Sequence[Judged]) -> dict[str, Any]:
-    """Return the JSON object ffcomp-bank-score/1."""
-    return {
-        "schema": "ffcomp-bank-score/1",
-        "cases": len(judged),
-        "rates": [rate_of(rate) for rate in rates(judged)],
-        "strata": [
-            *(stratum(name, [j for j in judged if j.label.machine == name]) for name in KINDS),
-            *(stratum(name, [j for j in judged if j.label.hides == name]) for name in HIDES),
-            *(stratum(name, [j for j in judged if j.label.condition == name]) for name in CONDITIONS),
-        ],
-        "confusion": confusion_rows(judged),
-        "misses": [miss(j) for j in judged if not as_wanted(j)],
-    }
-
-
 def rate_of(rate: Rate) -> dict[str, Any]:
     """Return one rate with its Wilson interval and its aim."""
     low, high = rate.interval
@@ -326,13 +310,6 @@ def rate_of(rate: Rate) -> dict[str, Any]:
         "low": low,
         "high": high,
     }
-
-
-def stratum(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
-    """Count the cases of a stratum that ended as they should."""
-    hits = sum(as_wanted(j) for j in judged)
-    low, high = wilson(hits, len(judged))
-    return {"name": name, "hits": hits, "total": len(judged), "low": low, "high": high}
 
 
 def confusion_rows(judged: Sequence[Judged]) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from validation.plants import delta_plant
 
@@ -29,11 +30,15 @@ class Chip:
     turn: FloatArray  # (3, 3) from the printer's axes to the chip's, its tilt included
     count_m_per_s2: float = 3.9e-3 * GRAVITY_M_PER_S2
     noise_m_per_s2: float = 0.15
+    coloured: bool = False  # more of the noise at low frequencies
 
     def counts(self, felt: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Measure accelerations (n, 3) along the printer's axes: (n, 3) m/s² along the chip's."""
         own = (felt + np.array([0.0, 0.0, GRAVITY_M_PER_S2])) @ self.turn.T
-        own = own + self.noise_m_per_s2 * rng.standard_normal(own.shape)
+        noise = rng.standard_normal(own.shape)
+        if self.coloured:
+            noise = 0.8 * noise + 0.5 * lfilter([0.8], [1.0, -0.6], rng.standard_normal(own.shape), axis=0)
+        own = own + self.noise_m_per_s2 * noise
         return np.rint(own / self.count_m_per_s2) * self.count_m_per_s2
 
 

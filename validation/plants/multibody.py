@@ -34,7 +34,6 @@ from models.machine import Machine
 from models.vibration.substructures import Drive
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 GRAVITY_M_PER_S2 = 9.80665
 STEP_S = 1 / 12800
@@ -44,8 +43,7 @@ ROD_RADIUS_M = 3e-3  # decides a rod's inertia about its own axis, about which n
 HALF_PAIR_M = 0.025  # between the two rods of a parallelogram, halved; no answer depends on it
 EFFECTOR_GYRATION_M = 0.03  # radius of gyration; no answer depends on it
 LIGHT = "1e-4 1e-4 1e-4"  # kg m², of bodies that never turn
-NUDGE_M, NUDGE_M_PER_S = 1e-6, 1e-3
-FASTEST_MODE_PER_S = 4000.0  # between the machine's poles and those of the constraints, 1/T
+NUDGE_M = 1e-6
 SETTLED_M = 1e-12
 
 Arms = Literal["lumped", "uniform"]
@@ -209,30 +207,7 @@ def _row(values: FloatArray) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-# ---- small motion --------------------------------------------------------------------------------
-
-
-def modes(printer: Multibody) -> ComplexArray:
-    """The poles (k,) 1/s in the upper half-plane, slowest first, of the machine at rest; motors held.
-
-    d q̈/d(q, q̇) by central differences of what MuJoCo computes, constraints included. Their own poles, near -1/T, and
-    the rods' idle turning about themselves are left out.
-    """
-    model, data = printer.model, _at_rest(printer)
-    n = model.nv
-    rate = np.zeros((2 * n, 2 * n))
-    rate[:n, n:] = np.eye(n)
-    rate[n:, :n] = _by_position(model, data)
-    rate[n:, n:] = _by_speed(model, data)
-    found = np.linalg.eigvals(rate).astype(np.complex128)
-    swings = found[(found.imag > 1.0) & (np.abs(found) < FASTEST_MODE_PER_S)]
-    return swings[np.argsort(np.abs(swings))]
-
-
-def rest_mm(printer: Multibody) -> tuple[FloatArray, FloatArray]:
-    """Nozzle (3,) and carriages (3,), mm, where the machine rests with its motors at home."""
-    qpos = _at_rest(printer).qpos[None]
-    return _nozzle_mm(printer, qpos)[0], _carriages_mm(printer, qpos)[0]
+# ---- rest --------------------------------------------------------------------------------
 
 
 def _at_rest(printer: Multibody) -> Any:
@@ -259,19 +234,6 @@ def _by_position(model: Any, data: Any) -> FloatArray:
             sides.append(_acceleration(model, data))
         columns[:, i] = (sides[0] - sides[1]) / (2 * NUDGE_M)
     data.qpos[:] = home
-    return columns
-
-
-def _by_speed(model: Any, data: Any) -> FloatArray:
-    """∂q̈/∂q̇ : (nv, nv)"""
-    columns = np.empty((model.nv, model.nv))
-    for i in range(model.nv):
-        sides = []
-        for way in (NUDGE_M_PER_S, -NUDGE_M_PER_S):
-            data.qvel[i] = way
-            sides.append(_acceleration(model, data))
-        data.qvel[i] = 0.0
-        columns[:, i] = (sides[0] - sides[1]) / (2 * NUDGE_M_PER_S)
     return columns
 
 
