@@ -31,7 +31,6 @@ NOT_SLOW = "not slow"
 SLOW = (  # folders and files; single tests have the marker themselves
     "docs/test_compatibility.py",
     "docs/test_examples.py",
-    "docs/test_json_page.py",
     "e2e",
     "fuzz",
     "integration",

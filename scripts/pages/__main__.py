@@ -9,18 +9,24 @@ Pictures take longer and have their own commands: `python -m scripts.pages.effec
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
-from scripts.pages import cli, dialects, effects, json_objects, machine_file
+from scripts.pages import cli, dialects, effects, json_objects, machine_file, tables
+
+
+def made() -> dict[Path, str]:
+    """Return the text of every page that is made from the code, or has tables that are."""
+    of_modules = {each.PAGE: each.page() for each in (cli, dialects, effects, json_objects, machine_file)}
+    return of_modules | tables.pages()
 
 
 def main(arguments: list[str]) -> None:
     stale = []
-    for made in (cli, dialects, effects, json_objects, machine_file):
-        text = made.page()
-        if made.PAGE.read_text(encoding="utf-8") != text:
-            stale.append(made.PAGE.name)
+    for path, text in made().items():
+        if path.read_text(encoding="utf-8") != text:
+            stale.append(path.name)
             if arguments == ["--write"]:
-                made.PAGE.write_text(text, encoding="utf-8")
+                path.write_text(text, encoding="utf-8")
     print(f"Changed: {', '.join(stale)}." if stale else "Every page is up to date.")
     if stale and arguments != ["--write"]:
         sys.exit(1)

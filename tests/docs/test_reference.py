@@ -10,27 +10,28 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.errors import FfcompError
-from ffcomp.inverse.settings import effort_curve
 from ffcomp.measurement.frf import KEYS
 from ffcomp.measurement.frf_files import _COLUMNS as FRF_COLUMNS
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.recording import COLUMNS, check_header
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
-from scripts.pages import cli, machine_file
+from scripts.pages import dialects, machine_file
+from scripts.pages.__main__ import made
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
-TRUTH = load_machine("mp-delta-pro")
+
+def test_pages_say_what_the_code_does() -> None:
+    stale = [path.name for path, text in made().items() if path.read_text(encoding="utf-8") != text]
+    assert not stale, "python -m scripts.pages --write"
+    for section in machine_file.SECTIONS:
+        assert all(row[4] for row in rows_of(MACHINE_FILE, section)), f"{section}: a key is not explained"
+    rows = dialects.rows(dialects.PAGE.read_text(encoding="utf-8"))
+    assert len(rows) > 100 and {row.outcome for row in rows} == dialects.OUTCOMES.keys()
 
 
 # ---- cli.md --------------------------------------------------------------------------------------
-
-
-def test_the_page_of_verbs_is_in_step_with_them() -> None:
-    written_page = (REFERENCE / "cli.md").read_text(encoding="utf-8")
-    assert written_page == cli.page(), "python -m scripts.pages --write"
 
 
 def test_every_example_of_a_verb_names_options_that_it_has() -> None:
@@ -45,13 +46,6 @@ def test_every_example_of_a_verb_names_options_that_it_has() -> None:
 
 
 # ---- machine_file.md -----------------------------------------------------------------------------
-
-
-def test_the_tables_of_machine_files_are_in_step_with_the_schema() -> None:
-    written_page = MACHINE_FILE.read_text(encoding="utf-8")
-    assert written_page == machine_file.page(), "python -m scripts.pages --write"
-    for section in machine_file.SECTIONS:
-        assert all(row[4] for row in rows_of(MACHINE_FILE, section)), f"{section}: a key is not explained"
 
 
 def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) -> None:
@@ -132,34 +126,15 @@ def test_exit_codes_are_those_of_the_errors() -> None:
     assert told == {**ours, "GcodeError": 4, "MachineFileError": 5}
 
 
-# ---- explanation ---------------------------------------------------------------------------------
+# ---- json.md -------------------------------------------------------------------------------------
 
 
-def test_the_tables_of_the_explanation_are_what_comes_out() -> None:
-    for place, *cells in rows_of(ROOT / "docs" / "explanation" / "the_model.md", "What changes over the bed"):
-        found = TRUTH.vibration.modes_at(np.array([float(x) for x in place.split(",")]))
-        pairs = zip(found.frequencies_hz, found.damping_ratios, strict=True)
-        assert sorted(cells) == sorted(f"{frequency:.1f} ({damping:.2f})" for frequency, damping in pairs)
-    curve = effort_curve(TRUTH, 0.004)
-    each = zip(curve.bandwidth_hz, curve.error_um, 1e-3 * curve.peak_mm_per_s2, strict=True)
-    known = {f"{f:.1f}": [f"{error:.1f}", f"{peak:.1f}"] for f, error, peak in each}
-    for frequency, *cells in rows_of(ROOT / "docs" / "explanation" / "the_inverse.md", "What accuracy costs"):
-        bandwidth, _, knee = frequency.strip("*").partition(", the ")
-        assert known[bandwidth] == cells
-        assert (f"{curve.knee_hz:.1f}" == bandwidth) == (knee == "knee")
-
-
-def test_the_pages_quote_the_thresholds_of_the_search() -> None:
-    left, dominant, added = (f"{100 * x:.0f} %" for x in (SETTINGS.left, SETTINGS.dominant, SETTINGS.added_share))
-    quoted = {
-        "DIAGNOSE.md": [f"at least {dominant} at places"],
-        "explanation/measuring_and_diagnosis.md": [
-            *(f"remove {added} of the discrepancy", f"at most {left} of the discrepancy"),
-            *(f"explains {dominant} where it was left", f"leave {SETTINGS.ahead:g} times as much"),
-        ],
-    }
-    texts = {page: (ROOT / "docs" / page).read_text(encoding="utf-8") for page in quoted}
-    assert [(page, each) for page, those in quoted.items() for each in those if each not in texts[page]] == []
+def test_the_page_names_every_schema_that_the_code_prints() -> None:
+    code = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "ffcomp").rglob("*.py"))
+    made_by = set(re.findall(r'"(ffcomp-[a-z-]+/1)"', code))
+    files = {"ffcomp-machine/1", "ffcomp-check-history/1", "ffcomp-motion/1"}  # described on their own pages
+    told_of = re.findall(r"^#+ (ffcomp-[\w-]+/\d+)$", (REFERENCE / "json.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(told_of) == made_by - files
 
 
 # ---- the map -------------------------------------------------------------------------------------

@@ -10,15 +10,10 @@ import pytest
 
 from benchmarks import speed
 from models.effects.catalogue import CATALOGUE, effects_of_printers
-from models.file import load_machine
-from models.finding import LIBRARY
-from models.kinematics.cartesian import CartesianKinematics
-from models.machine import Machine, assumed_modes
 from scripts.pages import effects
 from scripts.site_pages import SOURCES, indented, with_sources
 from studies import render
 from tests.support.docs_runner import ROOT
-from tests.support.reference import REFERENCE, rows_of
 
 
 @pytest.mark.parametrize("name", render.PAGES)
@@ -92,11 +87,6 @@ DOCS = Path(__file__).parents[2] / "docs"
 LARGEST_BYTES = 40_000
 
 
-def test_the_page_is_in_step_with_the_catalogue() -> None:
-    written = (DOCS / "EFFECTS.md").read_text(encoding="utf-8")
-    assert written == effects.page(), "python -m scripts.pages --write"
-
-
 def test_every_effect_has_its_small_figure_and_no_figure_is_left_over() -> None:
     figures = {path.stem: path for path in (DOCS / "effects").glob("*.png")}
     assert set(figures) == set(effects_of_printers()) >= set(effects.SHOWN)
@@ -110,39 +100,6 @@ def test_a_figure_shows_the_effect(name: str) -> None:
     without, with_it = (shown.panels[0].draw(m) for m in effects.machines(CATALOGUE[name], shown))
     np.testing.assert_array_equal(without.x, with_it.x)
     assert np.abs(with_it.y - without.y).max() > 1e-3 * max(float(np.abs(without.y).max()), 1.0)
-
-
-# ---- library page ----
-
-
-PAGE_LIBRARY_PAGE = REFERENCE / "library.md"
-FILES = sorted(LIBRARY.glob("*.toml"))
-
-
-def expected(machine: Machine) -> list[str]:
-    name = machine.name.removesuffix(" (assumed dynamics)")
-    modes = machine.vibration.modes_at(np.array(machine.kinematics.centre_mm)).frequencies_hz
-    slowest = ", ".join(f"{f:.0f}" for f in sorted(modes)[:2])
-    assumed = "assumed" if assumed_modes(machine) else "measured"
-    return [f"`{Path(machine.path).stem}`", name, reach(machine), f"{slowest}, {assumed}", machine.flavor]
-
-
-def reach(machine: Machine) -> str:
-    kinematics = machine.kinematics
-    if isinstance(kinematics, CartesianKinematics):
-        return ", ".join(f"{low:g} to {high:g}" for low, high in kinematics.range_mm)
-    return f"radius {kinematics.print_radius_mm:g}, height {kinematics.print_height_mm:g}"
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_every_machine_has_its_row(path: Path) -> None:
-    rows = [row for kind in ("Deltas", "CoreXY", "Cartesian") for row in rows_of(PAGE_LIBRARY_PAGE, kind)]
-    assert expected(load_machine(path)) in rows
-
-
-def test_there_are_no_other_rows() -> None:
-    rows = [row for kind in ("Deltas", "CoreXY", "Cartesian") for row in rows_of(PAGE_LIBRARY_PAGE, kind)]
-    assert sorted(row[0].strip("`") for row in rows) == sorted(path.stem for path in FILES)
 
 
 # ---- front pages ----

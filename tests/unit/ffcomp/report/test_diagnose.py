@@ -27,8 +27,6 @@ from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
 from tests.support.browser import chromium, visit
 from tests.support.cli import CliRunner
-from tests.support.json_page import Page
-from tests.support.reference import REFERENCE
 from tests.support.undrawn import save_nothing
 
 RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
@@ -142,7 +140,6 @@ def plain_text(text: str) -> str:
 def test_the_page_says_what_the_json_says(name: str, said: str, request: pytest.FixtureRequest) -> None:
     case: Case = request.getfixturevalue(name)
     assert case.result["verdict"] == said
-    assert Page(REFERENCE / "json.md").problems(case.result, "ffcomp-diagnose/1") == []
     read, answer = plain_text(case.text), case.result["answer"]
     assert f"verdict: {said}" in read
     for sentence in (answer["headline"], *answer["warnings"]):
