@@ -14,6 +14,7 @@ from models.file import load_machine
 from models.finding import LIBRARY
 from models.kinds import delta_vibration
 from models.kinematics.cartesian import COREXY, CartesianKinematics
+from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, assumed_modes
 from models.vibration.mode_map import numbers
 
@@ -33,7 +34,7 @@ NUMBERS: Mapping[str, Mapping[str, float]] = {
 
 def pages() -> dict[Path, str]:
     """Return the pages with their tables and numbers filled in."""
-    tables = {
+    tables: dict[str, dict[str, Iterable[list[str]]]] = {
         "reference/library.md": dict(_library()),
         "explanation/the_model.md": {"What changes over the bed": _modes()},
         "explanation/the_inverse.md": {"What accuracy costs": _accuracy()},
@@ -44,10 +45,10 @@ def pages() -> dict[Path, str]:
         for section, rows in tables.get(name, {}).items():
             table = rf"(^##+ {section}\n(?:(?!^##|^\|).*\n)*\|.*\n\|.*\n)(?:\|.*\n)+"
             lines = "".join(f"| {' | '.join(row)} |\n" for row in rows)
-            text = _once(table, lambda match, lines=lines: match[1] + lines, text)  # type: ignore[misc]
+            text = _once(table, lambda match, lines=lines: match[1] + lines, text)
         for sentence, value in NUMBERS.get(name, {}).items():
             pattern = re.escape(sentence).replace(r"\#", r"[\d.]+")
-            text = _once(pattern, lambda _, s=sentence, x=value: s.replace("#", f"{x:g}"), text)  # type: ignore[misc]
+            text = _once(pattern, lambda _, s=sentence, x=value: s.replace("#", f"{x:g}"), text)
         found[DOCS / name] = text
     return found
 
@@ -59,15 +60,15 @@ def _once(pattern: str, new: object, text: str) -> str:
     return str(text)
 
 
-def _library() -> Iterator[tuple[str, list[list[str]]]]:
+def _library() -> Iterator[tuple[str, Iterable[list[str]]]]:
     """Return the machines by the sections of their page."""
     machines = [load_machine(path) for path in sorted(LIBRARY.glob("*.toml"), key=lambda path: path.stem)]
     of = {"Deltas": list[list[str]](), "CoreXY": list[list[str]](), "Cartesian": list[list[str]]()}
     for machine in machines:
-        kinematics = machine.kinematics
-        straight = isinstance(kinematics, CartesianKinematics)
-        crossed = straight and np.array_equal(kinematics.motor_matrix, COREXY)
-        of["CoreXY" if crossed else "Cartesian" if straight else "Deltas"].append(_row(machine))
+        kinematics, kind = machine.kinematics, "Deltas"
+        if isinstance(kinematics, CartesianKinematics):
+            kind = "CoreXY" if np.array_equal(kinematics.motor_matrix, COREXY) else "Cartesian"
+        of[kind].append(_row(machine))
     yield from of.items()
 
 
@@ -75,9 +76,10 @@ def _row(machine: Machine) -> list[str]:
     kinematics, name = machine.kinematics, machine.name.removesuffix(" (assumed dynamics)")
     modes = machine.vibration.modes_at(np.array(kinematics.centre_mm)).frequencies_hz
     slowest = ", ".join(f"{f:.0f}" for f in sorted(modes)[:2])
+    reach = ""
     if isinstance(kinematics, CartesianKinematics):
         reach = ", ".join(f"{low:g} to {high:g}" for low, high in kinematics.range_mm)
-    else:
+    elif isinstance(kinematics, DeltaKinematics):
         reach = f"radius {kinematics.print_radius_mm:g}, height {kinematics.print_height_mm:g}"
     assumed = "assumed" if assumed_modes(machine) else "measured"
     return [f"`{Path(machine.path).stem}`", name, reach, f"{slowest}, {assumed}", machine.flavor]

@@ -126,12 +126,6 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         lambda s: s.changed(plus(9.81), "acc_A_m_per_s2", "acc_z_m_per_s2"),
         ("Column acc_A_m_per_s2 has a mean of 9.8", "gravity is still in it", "Column acc_z_m_per_s2"),
     ),
-    "a jump": (
-        lambda s: s.changed(plus(0.3003, 500), "t_s"),
-        ("column t_s steps by 481.48 periods at row 502",),
-    ),
-    "clipped": (lambda s: s.changed(flat, "acc_x_m_per_s2"), ("acc_x_m_per_s2 stands at its", "it is clipped")),
-    "constant": (lambda s: s.changed(fill_gaps(0.04), "acc_B_m_per_s2"), ("is 0.04 in all 3200 rows",)),
     "stopped": (
         lambda s: s.changed(fill_gaps(0.3, slice(2000, None)), "acc_B_m_per_s2"),
         ("Sensor acc_B stands at 0.3 for 0.75 s, from 1.25 s after the beginning on, while it is commanded to move",),

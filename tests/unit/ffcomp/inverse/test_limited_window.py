@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.scheduled import models_along
 from tests.support.exact_inverse import FreeWindow, next_window, solve_exactly
 
 FloatArray = NDArray[np.float64]
@@ -57,52 +55,6 @@ def reference_of(
 def window_of(inverter: InverseModel, reference: Reference) -> FreeWindow:
     run = Iterate(inverter, reference)
     return next_window(run, 0, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]))
-
-
-def simulated(models: tuple[FloatArray, ...], rows: int, command: FloatArray) -> FloatArray:
-    """Carriages (n, 3) mm after each step, one model for every `rows` steps; from rest at zero."""
-    x, carriages = np.zeros(18), []
-    for step in range(len(command) - 1):
-        a, b0, b1 = (each[step // rows] for each in models[:3])
-        x = a @ x + b0 @ command[step] + b1 @ command[step + 1]
-        carriages.append(x[6:9])
-    return np.array(carriages)
-
-
-def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: InverseModel, machine: Machine) -> None:
-    """Superposition, by brute force: raise one coefficient of one carriage and simulate."""
-    window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
-    phi, place = window.phi(), window.stretch.place
-    rows = SETTINGS.rows_per_segment
-    models, j = models_along(inverter.row_table, place), machine.kinematics.jacobian(place)
-    for unknown, carriage in ((0, 0), (7, 2), (window.unknowns - 1, 1)):
-        command = np.zeros((len(place) * rows + 1, 3))
-        knot = (unknown + 1) * rows
-        hat = 1 - np.abs(np.arange(-rows, rows + 1)) / rows
-        command[knot - rows : knot + rows + 1, carriage] = hat[: len(command) - knot + rows]
-        q = simulated(models, rows, command)
-        nozzle = np.einsum("nij,nkj->nki", j, q.reshape(len(j), rows, 3)).reshape(-1, 3)
-        np.testing.assert_allclose(phi[:, 3 * unknown + carriage], nozzle.ravel(), atol=1e-12)
-
-
-def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machine: Machine) -> None:
-    """The same problem, written as in the module's docstring, by a second solver."""
-    window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
-    run = window.iterate
-    start, _ = window.stretch.respond(window.state)
-    error = window.stretch.error(start).ravel()
-    phi = window.phi()
-    gamma = cp.Variable((window.unknowns + 4, 3))
-    second = gamma[2:] - 2 * gamma[1:-1] + gamma[:-2]
-    fit = cp.sum_squares(error - phi @ cp.reshape(gamma[2:-2], (3 * window.unknowns,), order="C"))
-    rest = [gamma[:2] == 0, gamma[-2:] == 0]
-    problem = cp.Problem(cp.Minimize(1e6 * (fit + inverter.control_weight * cp.sum_squares(second))), rest)
-    problem.solve(solver=cp.CLARABEL)
-    assert problem.status == cp.OPTIMAL
-    window.solve()
-    ours = run.gamma[1 : window.unknowns + 1]
-    assert np.abs(ours).max() > 0.05  # mm: there is something to be found
-    np.testing.assert_allclose(ours, gamma.value[2:-2], atol=2e-5)
 
 
 @pytest.mark.parametrize("exact", [True, False])

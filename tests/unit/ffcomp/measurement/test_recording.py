@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.observations import carriages_of
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import read_axis_run
 from ffcomp.measurement.recording import read_recording
-from models.file import load_machine
 from tests.unit.ffcomp.measurement.conftest import RATE, Written
 
 Columns = dict[str, np.ndarray]
@@ -119,22 +117,6 @@ def test_every_mistake_is_said_at_once(columns: Columns, written: Written) -> No
     assert said.count("\n") == 3
     for words in ("must rise", "acc_B_m_per_s2 is 0.0383", "multiply", "acc_z_m_per_s2 holds no number"):
         assert words in said
-
-
-@pytest.mark.parametrize(
-    ("name", "sensor", "unit"),
-    [("multisine-centre-1", "acc_x", 1 / 9.80665), ("infill-front", "acc_A", 1000.0), ("slow-back", "acc_x", 1000.0)],
-)
-def test_real_runs_in_another_unit_are_found_out(
-    data: Path, written: Written, name: str, sensor: str, unit: float
-) -> None:
-    recording = read_recording(data / "runs" / "nothing-hidden" / "runs" / f"{name}.csv")
-    table = {"t_s": recording.time_s} | {f"{n}_mm": recording.command[:, j] for j, n in enumerate(recording.inputs)}
-    path = written(table | {f"{sensor}_m_per_s2": recording.acceleration[sensor] * unit})
-    machine = load_machine(data / "runs" / "nothing-hidden" / "machine.toml")
-    with pytest.raises(MeasurementError) as error:  # of the nozzle too small is told only with the nozzle's path
-        carriages_of(machine, read_recording(path))
-    assert f"in {'g' if unit < 1 else 'mm/s²'}, not in m/s²" in str(error.value)
 
 
 # ---- axis run ----

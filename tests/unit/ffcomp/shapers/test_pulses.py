@@ -61,23 +61,6 @@ def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(name: str, band: tuple
     assert len(dips) == zeros and np.all(left[dips + 1] < 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "duration_ms"),
-    [
-        ("zv", 11.2),
-        ("mzv", 16.8),
-        ("zvd", 22.3),
-        ("zvdd", 33.5),
-        ("zvddd", 44.7),
-        ("ei", 22.3),
-        ("2hump_ei", 33.5),
-        ("3hump_ei", 44.7),
-    ],
-)
-def test_durations_at_45_hz_are_those_of_the_firmware(name: str, duration_ms: float) -> None:
-    assert shapers.SHAPERS[name](45.0, 0.1).duration_s * 1e3 == pytest.approx(duration_ms, abs=0.06)
-
-
 def test_the_residual_is_that_of_a_simulated_oscillator() -> None:
     """ẍ + 2ζωẋ + ω²x = ω² u after shaped steps: superposed step responses after the last pulse."""
     zeta, hz = 0.06, 52.0

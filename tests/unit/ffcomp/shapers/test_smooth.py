@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from ffcomp import shapers
-from ffcomp.comparison.request import CompareRequest
-from ffcomp.request import declared
 from ffcomp.shapers.smooth import KERNELS
 
 SUPPORT_MS_AT_50_HZ = {  # as published, in periods: 0.8025, 0.95625, 1.06625, 1.14875, 1.475, 1.245
@@ -60,8 +58,3 @@ def test_the_sum_is_the_integral_at_a_step_of_acceleration(name: str) -> None:
         exact = acceleration / 2 * (passed(edge) - passed(-0.5))
         late = np.maximum(t - shaper.time, 0.0)
         assert shaper.amplitude @ (acceleration / 2 * late**2) == pytest.approx(exact, abs=1e-4)
-
-
-def test_the_help_of_compare_names_every_shaper() -> None:
-    help = next(each.option.help for each in declared(CompareRequest) if each.field == "only")
-    assert [name for name in shapers.SHAPERS if f" {name}" not in help] == []

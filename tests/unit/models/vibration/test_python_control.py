@@ -66,15 +66,6 @@ def test_an_ideal_drive_on_a_damped_belt_has_no_acceleration(printer: Machine) -
     close(response(machine.vibration.to_control((0.0, 0.0), "acceleration")), wanted)
 
 
-def test_an_ideal_drive_leaves_the_mechanical_poles(printer: Machine) -> None:
-    machine, place = variant(printer, "virtual_work", False), (60.0, -70.0)
-    found = machine.vibration.to_control(place).poles()
-    upper = np.sort(np.abs(found[found.imag > 0]))
-    np.testing.assert_allclose(
-        upper / (2 * np.pi), machine.vibration.modes_at(np.array(place)).frequencies_hz, rtol=1e-9
-    )
-
-
 # ---- state space ----
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.delta import STATES, Q
 from models.vibration.substructures import (
     command_frf,
     impedance,
@@ -151,46 +150,3 @@ def test_shapes_are_free_vibrations(printer: Machine, force_map: str) -> None:
         np.testing.assert_allclose(
             m2 * pole**2 * (nozzle + shape[3:]), -mount * shape[3:], atol=1e-6 * np.abs(mount).max()
         )
-
-
-@pytest.mark.parametrize("xy", PLACES)
-def test_rigid_modes_in_closed_form(rigid, xy: tuple[float, float]) -> None:
-    """ω_r = √(k / (m + M σ_r²)), σ_r the singular values of J."""
-    machine = rigid()
-    sigma = np.linalg.svd(machine.kinematics.jacobian(np.array([xy]))[0], compute_uv=False)
-    expected = np.sqrt(1.21e5 / (0.195 + 0.651 * sigma**2)) / (2 * np.pi)
-    np.testing.assert_allclose(machine.vibration.modes_at(np.array(xy)).frequencies_hz[:3], expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
-def test_the_frf_blows_up_at_the_poles(printer: Machine, force_map: str) -> None:
-    """Poles come from masses, the FRF from impedances: at a pole the impedance loses rank."""
-    machine = with_parts(printer, effector=replace(delta_vibration(printer).effector, force_map=force_map))
-    place = np.array([50.0, -60.0])
-    j, gamma = machine.kinematics.jacobian(place[None])[0], delta_vibration(machine).load_map(place[None])[0]
-    for pole in machine.vibration.poles(place[None])[0]:
-        s = np.array([pole])
-        carriage = delta_vibration(machine).carriage
-        damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
-        own = carriage.moving_mass_kg * pole**2 + damping * pole + carriage.belt_stiffness_n_per_m
-        singular = np.linalg.svd(
-            own * np.eye(3) + gamma * delta_vibration(machine).effector_impedance(s) @ j, compute_uv=False
-        )
-        assert singular[-1] < 1e-9 * singular[0] + 1e-5
-
-
-@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
-@pytest.mark.parametrize("with_drive", [True, False])
-def test_frf_equals_the_scheduled_plants(printer: Machine, force_map: str, with_drive: bool) -> None:
-    """Eq. 29 against the state space that is integrated in time: C (sI − A)⁻¹ (B_u + s B_s)."""
-    carriage = (
-        delta_vibration(printer).carriage if with_drive else replace(delta_vibration(printer).carriage, drive=None)
-    )
-    machine = with_parts(
-        printer, carriage=carriage, effector=replace(delta_vibration(printer).effector, force_map=force_map)
-    )
-    place = np.array([60.0, -70.0])
-    plant = machine.vibration.state_space(place[None])
-    s = S[:, None, None]
-    states = np.linalg.solve(s * np.eye(STATES) - plant.a[0], plant.b_command[0] + s * plant.b_slope[0])
-    np.testing.assert_allclose(states[:, Q], machine.vibration.frequency_response(place, FREQUENCIES), atol=1e-9)
