@@ -11,12 +11,10 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.measurement.recording import Recording, read_recording
-from ffcomp.simulation import playback as playing
 from ffcomp.simulation.command_files import gcode_command
 from ffcomp.simulation.request import SimulateRequest
-from ffcomp.simulation.simulation import read_command, simulate_command
+from ffcomp.simulation.simulation import simulate_command
 from models.file import LIBRARY, load_machine
-from models.printer.printer import simulate_printer
 from tests.support.cli import CliRunner, Result
 from validation import judge
 
@@ -82,22 +80,6 @@ def test_a_compensated_file_is_judged_against_its_original(square: Path, tmp_pat
     target.write_bytes(b"".join(line for line in lines if not line.startswith(b";section ")))
     refused = call("simulate", target, "-m", "mp-delta-pro", "--quiet")
     assert refused.exit_code == 4 and "Compensate the original again" in refused.output
-
-
-def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
-    """However it is cut, and against the whole in one go."""
-    command, _ = read_command(square, MACHINE)
-    stretch = command.sections[0]
-    whole = list(playing.play(command, MACHINE, 1600.0))
-    monkeypatch.setattr(playing, "CHUNK_ROWS", 333)
-    pieces = list(playing.play(command, MACHINE, 1600.0))
-    assert len(whole) == 1 and len(pieces) > 10
-    for name in ("t_s", "nozzle_mm", "carriage_mm"):
-        cut = np.concatenate([getattr(p, name) for p in pieces])
-        np.testing.assert_allclose(cut, getattr(whole[0], name), atol=1e-9)
-    t = stretch.begin_s + playing.ROW_S * np.arange(4 * len(whole[0].t_s) - 3)
-    direct = simulate_printer(MACHINE, stretch.actuators(t), playing.ROW_S)
-    np.testing.assert_allclose(whole[0].nozzle_mm, direct.nozzle_mm[::4], atol=1e-9)
 
 
 # ---- the run file --------------------------------------------------------------------------------

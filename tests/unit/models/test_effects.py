@@ -27,27 +27,6 @@ from tests.unit.models.printer.test_printer_effects import TABLES
 from validation.blind.delta import EFFECTS as EFFECTS_OF_DELTAS
 from validation.blind.kinds import KINDS
 
-NAMED_BY_THE_FORMAT = {
-    "coulomb_friction": {"force_n"},
-    "stribeck_friction": {"force_n", "extra_force_n", "velocity_mm_per_s"},
-    "guide_damping": {"added_n_s_per_m"},
-    "belt_stiffness": {"relative_change"},
-    "belt_hardening": {"cubic_n_per_m3"},
-    "belt_position_stiffness": {"slope_per_m", "q_centre_mm"},
-    "belt_backlash": {"width_mm"},
-    "command_delay": {"delay_s"},
-    "cogging": {"amplitude_mm", "pitch_mm"},
-    "torque_angle": {"amplitude_mm"},
-    "effector_mass": {"added_kg"},
-    "center_of_mass": {"offset_mm"},
-    "extruder_mount": {"relative_stiffness_change", "relative_damping_change"},
-    "joint_friction": {"force_n"},
-    "frame_mode": {"mass_kg", "frequency_hz", "damping_ratio", "direction"},
-    "arm_geometry": {"arm_length_mm", "delta_radius_mm"},
-    "gantry_racking": {"radius_mm", "frequency_hz", "damping_ratio", "x_centre_mm"},
-    "growing_bed": {"growth_per_m"},
-    "toolhead_mode": {"slope_per_m", "curve_per_m2", "x_centre_mm"},
-}
 ROOT = Path(__file__).parents[3]
 
 EFFECTS = [pytest.param(effect, id=name) for name, effect in CATALOGUE.items()]
@@ -67,9 +46,6 @@ def _to_do() -> Iterator[str]:
     blind = {*EFFECTS_OF_DELTAS, *(name for kind in KINDS.values() for name in kind.effects)}
     page = (ROOT / "docs" / "EFFECTS.md").read_text(encoding="utf-8")
     for name, effect in CATALOGUE.items():
-        required = {p.name for p in effect.parameters if p.default is None}
-        wanted = NAMED_BY_THE_FORMAT.get(name, required)
-        yield from (f"{name}: its parameter {p} has another name in the format" for p in sorted(required ^ wanted))
         yield from (f"{name}.{p.name}: no probe" for p in effect.parameters if not p.probe > 0)
         if "carriages" in effect.of and effect.kind != "sensor" and name not in TABLES:
             yield f"{name}: no table in TABLES of tests/unit/models/printer/test_printer_effects.py"
@@ -77,7 +53,6 @@ def _to_do() -> Iterator[str]:
             yield f"{name}: not in the blind benchmark (validation/blind)"
         if name in effects_of_printers() and f"`{name}`" not in page:
             yield f"{name}: not in docs/EFFECTS.md (python -m scripts.pages --write)"
-    yield from (f"{name}: in the format, but not in CATALOGUE" for name in NAMED_BY_THE_FORMAT if name not in CATALOGUE)
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

@@ -17,8 +17,6 @@ from models.file import LIBRARY, entries, load_machine
 from models.kinds import delta_vibration
 from models.machine import ASSUMED, Machine, assumed_modes, way_to_measure
 
-LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
-
 MINIMAL = """\
 format = "ffcomp-machine/1"
 name = "minimal"
@@ -163,11 +161,6 @@ def test_broken_text_is_named_with_its_place(write) -> None:
 
 
 # --- The library
-
-
-@pytest.mark.parametrize("path", LIBRARY_FILES, ids=lambda path: path.stem)
-def test_every_number_of_the_library_has_its_provenance(path: Path) -> None:
-    assert [entry.key for entry in entries(path) if entry.provenance in ("", "default")] == []
 
 
 def test_the_library_prints_table_1(as_printed) -> None:
