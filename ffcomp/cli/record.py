@@ -62,20 +62,11 @@ def join(request: JoinRequest) -> Result:
 def check(request: CheckRequest) -> Result:
     """Check in half a minute whether the printer moves as last time, and if not, what changed.
 
-    First write the G-code with -o, as ffcomp record plan --for check does, and run it whenever you want to know. Then
-    give its captures with --plan: they are compared with the machine file and with the earlier checks.
+    First write the G-code with ffcomp record plan --for check, and run it whenever you want to know. Then give its
+    captures: they are compared with the machine file and with the earlier checks.
 
     Example: ffcomp record check captures/*.csv --plan check.json -m my-delta.toml
     """
-    if request.output is not None:
-        from ffcomp.record.planning import plan_recording
-
-        same = {name: getattr(request, name) for name in ("machine", "output", "flavor", "chip")}
-        return plan_recording(PlanRequest(purpose="check", **same))
-    return _compare(request)
-
-
-def _compare(request: CheckRequest) -> Result:
     from dataclasses import replace
     from datetime import datetime
 
@@ -86,7 +77,6 @@ def _compare(request: CheckRequest) -> Result:
     from ffcomp.record.plan import load_plan
     from models.file import load_machine
 
-    assert request.plan is not None
     plan, machine = load_plan(request.plan), load_machine(request.machine)
     earlier = read_history(request.history_file)
     turn = turn_of(request.axes_map)

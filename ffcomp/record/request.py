@@ -259,15 +259,11 @@ class JoinRequest(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckRequest(Request):
-    """A check of a printer: the G-code to write, or its captures."""
+    """A check of a printer by its captures."""
 
+    captures: Annotated[tuple[Path, ...], Argument("Captures of the check's G-code.", metavar="CAPTURES...")]
+    plan: Annotated[Path, MOVES_PLAN]
     machine: Annotated[str, MACHINE_NAME]
-    captures: Annotated[
-        tuple[Path, ...],
-        Argument("Captures of the check's G-code. None: write that G-code with -o.", metavar="[CAPTURES...]"),
-    ] = ()
-    output: Annotated[Path | None, GCODE] = None
-    plan: Annotated[Path | None, MOVES_PLAN] = None
     history: Annotated[
         Path | None,
         Option(
@@ -276,18 +272,8 @@ class CheckRequest(Request):
             metavar="FILE",
         ),
     ] = None
-    flavor: Annotated[str, FLAVOR] = ""
-    chip: Annotated[tuple[str, ...], CHIP] = ()
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     figure: Annotated[Path | None, FIGURE] = None
-    force: Annotated[bool, FORCE] = False
-
-    def check(self) -> None:
-        """Raise RequestError where options do not go together."""
-        if bool(self.captures) == bool(self.output):
-            raise RequestError("Either -o check.gcode, to write the G-code; or its captures, with --plan check.json.")
-        if self.captures and self.plan is None:
-            raise RequestError("Captures need --plan: the .json file written next to the check's G-code.")
 
     @property
     def history_file(self) -> Path:

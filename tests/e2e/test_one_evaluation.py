@@ -97,7 +97,7 @@ VERBS = [  # in this order: a verb may read what an earlier one wrote
     "machines check mp-delta-pro-as-printed",
     "machines import printer.cfg -o imported.toml",
     "restore out.gcode -o again.gcode",
-    "record check -m ender-3 -o check.gcode",
+    "record plan --for check -m ender-3 -o check.gcode",
     "simulate check.gcode -m ender-3 --as-captures captures --plan check.json --rate 3200 --flavor klipper",
     "record join captures/*.csv --plan check.json -m ender-3 -o runs",
     "record check captures/*.csv --plan check.json -m ender-3",

@@ -46,7 +46,8 @@ def test_captures_of_the_virtual_printer_are_joined(flavor: str, tmp_path: Path)
 
 
 def test_a_damaged_history_stays_as_it_is(tmp_path: Path) -> None:
-    assert ffcomp("record", "check", "-m", "ender-3", "-o", tmp_path / "check.gcode").exit_code == 0
+    planned = ffcomp("record", "plan", "--for", "check", "-m", "ender-3", "-o", tmp_path / "check.gcode")
+    assert planned.exit_code == 0
     history = tmp_path / "checks.jsonl"
     history.write_text('{"schema":"ffcomp-check', encoding="utf-8")
     call = ("record", "check", "a.csv", "--plan", tmp_path / "check.json", "-m", "ender-3", "--history", history)

@@ -63,8 +63,6 @@ CASES = [
     ("identify fit columns.csv -m kossel -o out.toml", 5, "imag"),
     ("identify fit run.csv -m kossel -o out.toml", 5, "cmd_B"),
     ("identify fit text.csv -m kossel -o out.toml", 5, "first line must be"),
-    ("record check -m ender-3", 2, "-o"),
-    ("record check text.csv -m ender-3 -o check.gcode", 2, "-o"),
     ("record check text.csv -m ender-3", 2, "--plan"),
     (f"simulate a.gcode {DELTA} --rate nan", 2, "nan"),
     (f"simulate a.gcode {DELTA} --rate 100000", 2, "100000"),
