@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ffcomp.serve import machines, messages
-from ffcomp.serve.commands import KINDS, MEASURED, checked, forms
+from ffcomp.serve.commands import KINDS, checked, forms
 from ffcomp.serve.guard import Guard
 from ffcomp.serve.jobs import Job
 from ffcomp.serve.runner import Runner
@@ -129,7 +129,7 @@ class Server:
         machine = str(fields.get("machine") or "")
         if KINDS[kind].machine:
             machines.path_of(machine)
-        if kind in MEASURED and any(upload.name.lower().endswith(".json") for upload, _ in files):
+        if len(KINDS[kind].inputs) > 1 and any(upload.name.lower().endswith(".json") for upload, _ in files):
             raise Refused(400, "A plan is not dropped: choose the moves that this server has written.")
         names = [upload.name for upload, _ in files] + [path.name for path in plan]
         if len(set(names)) < len(names):

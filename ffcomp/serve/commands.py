@@ -28,7 +28,6 @@ MOVES, PLAN = "moves.gcode", "moves.json"
 PRINTS = (".gcode", ".gco", ".g")
 MOST_CAPTURES = 200
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of a machine
-MEASURED = ("diagnose", "fit", "scan", "update")  # kinds that take captures or pictures
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,66 +48,6 @@ class Task:
     out: Path
     words: tuple[str, ...]
     name: str = ""  # of the machine file that an import makes
-
-
-def compensate(task: Task) -> list[Step]:
-    """Compensate a print, and draw it before and after."""
-    (source,) = task.inputs
-    target = str(task.out / source.name)
-    words = ("compensate", str(source), "-m", task.machine, "-o", target, "--json", *task.words)
-    show = ("show", target, "-o", str(task.out / PICTURE), *_report(task))
-    return [Step(words, "compensating"), Step(show, "drawing", needed=False)]
-
-
-def compare(task: Task) -> list[Step]:
-    """Compare a print's error with every input shaper's."""
-    (source,) = task.inputs
-    words = ("compare", str(source), "-m", task.machine, *_report(task), *task.words)
-    return [Step(words, "comparing with shapers")]
-
-
-def plan(task: Task, purpose: str) -> list[Step]:
-    """Write moves to record."""
-    target = str(task.out / MOVES)
-    words = ("record", "plan", "--for", purpose, "-m", task.machine, "-o", target, "--json", *task.words)
-    return [Step(words, "planning moves")]
-
-
-def measured(task: Task, verb: Sequence[str], doing: str) -> list[Step]:
-    """Read captures or pictures: the plan is the input that is JSON, or the print that was recorded."""
-    plans = [path for path in task.inputs if path.suffix in (".json", *PRINTS)]
-    captures = [str(path) for path in task.inputs if path not in plans]
-    plan_words = ("--plan", str(plans[0])) if plans else ()
-    better = str(task.out / BETTER)
-    return [Step((*verb, *captures, "-m", task.machine, *plan_words, "-o", better, *_report(task), *task.words), doing)]
-
-
-def update(task: Task) -> list[Step]:
-    """Update the machine file by captures of a print; earlier updates are kept."""
-    history = Path(task.machine).with_suffix(UPDATES)
-    if history.exists():
-        shutil.copyfile(history, (task.out / BETTER).with_suffix(UPDATES))
-    return measured(task, ("identify", "update"), "updating the machine file")
-
-
-def ringing(task: Task) -> list[Step]:
-    """Move the machine file's modes to frequencies that were read off a print."""
-    words = ("identify", "ringing", "-m", task.machine, "-o", str(task.out / BETTER), "--json", *task.words)
-    return [Step(words, "moving the modes")]
-
-
-def read_machine(task: Task) -> list[Step]:
-    """Make a machine file from a printer's configuration, or check a machine file."""
-    (source,) = task.inputs
-    if source.suffix.lower() == ".toml":
-        return [Step(("machines", "check", str(source), "--json"), "checking the machine file")]
-    target = str(task.out / f"{task.name}.toml")
-    words = ("machines", "import", str(source), "-o", target, "--alone", "--json", *task.words)
-    return [Step(words, "reading the configuration")]
-
-
-def _report(task: Task) -> tuple[str, ...]:
-    return "--json", "--report", str(task.out / REPORT)
 
 
 # -- options --
@@ -145,18 +84,39 @@ class Weighed(Request):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of job: how it runs, how many files it takes, its requests, and whether it needs a machine.
+    """One kind of job: the verb that it calls, its files and its form.
 
+    verb : words of the command line
+    doing : the verb's work, in words
+    inputs : how many files it takes
     requests : make the verb's request of options that a visitor has set
+    output : name of the file that the verb writes, where {file} is the input's and {name} the new machine's; "": none
+    report : whether the verb writes a report
     without : options that the page does not offer here
+    machine : whether it needs a machine
     """
 
-    steps: Callable[[Task], list[Step]]
+    verb: tuple[str, ...]
+    doing: str
     inputs: range
-    requests: tuple[Callable[..., Request], ...] = ()
+    requests: tuple[Callable[..., Request], ...]
+    output: str = ""
+    report: bool = False
     without: tuple[str, ...] = ()
     machine: bool = True
     title: str = "{name}"
+
+    def words(self, task: Task) -> tuple[str, ...]:
+        """Return the command line of a task."""
+        files, plans = _files_and_plans(self, task.inputs)
+        output = self.output.format(file=files[0].name if files else "", name=task.name)
+        return (
+            *(*self.verb, *map(str, files)),
+            *(("-m", task.machine) if self.machine else ()),
+            *(("--plan", str(plans[0])) if plans else ()),
+            *(("-o", str(task.out / output)) if output else ()),
+            *("--json", *(("--report", str(task.out / REPORT)) if self.report else ()), *task.words),
+        )
 
     @property
     def form(self) -> dict[str, Declared]:
@@ -165,55 +125,80 @@ class Kind:
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Raise RequestError where values are out of range, or do not go together."""
-        for make in self.requests:
-            make(**{each.field: values[each.field] for each in offered(make) if each.field in values})
+        for make in self.requests:  # the server chooses the files when the job runs
+            files = {each.field: Path("file") for each in options_of(make) if each.required}
+            made = {each.field: values[each.field] for each in offered(make) if each.field in values}
+            make(**files | made)
+
+
+def _files_and_plans(kind: Kind, inputs: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Separate captures or pictures from their plan: the input that is JSON, or the print that was recorded."""
+    plans = [path for path in inputs if kind.inputs == _CAPTURES and path.suffix in (".json", *PRINTS)]
+    return [path for path in inputs if path not in plans], plans
+
+
+def steps(kind: str, task: Task) -> list[Step]:
+    """Return the calls of a job."""
+    if kind == "import" and task.inputs[0].suffix.lower() == ".toml":
+        return [Step(("machines", "check", str(task.inputs[0]), "--json"), "checking the machine file")]
+    if kind == "update" and (history := Path(task.machine).with_suffix(UPDATES)).exists():  # earlier updates are kept
+        shutil.copyfile(history, (task.out / BETTER).with_suffix(UPDATES))
+    first = Step(KINDS[kind].words(task), KINDS[kind].doing)
+    if kind != "compensate":
+        return [first]
+    target, report = str(task.out / task.inputs[0].name), str(task.out / REPORT)
+    show = ("show", target, "-o", str(task.out / PICTURE), "--json", "--report", report)
+    return [first, Step(show, "drawing", needed=False)]
 
 
 def offered(make: Callable[..., Request]) -> list[Declared]:
     """Return the options of a request that have a label."""
+    return [each for each in options_of(make) if each.option.label]
+
+
+def options_of(make: Callable[..., Request]) -> tuple[Declared, ...]:
+    """Return all options of a request."""
     request: Any = make.func if isinstance(make, partial) else make
-    return [each for each in declared(request) if each.option.label]
+    return declared(request)
 
 
-_ANY = Path("file")  # stands for the files, whose places the server chooses when the job runs
 _ONE, _NONE, _CAPTURES = range(1, 2), range(1), range(1, MOST_CAPTURES)
 
 
+def _kind(verb: str, doing: str, inputs: range, *requests: Callable[..., Request], **more: Any) -> Kind:
+    return Kind(tuple(verb.split()), doing, inputs, requests, **more)
+
+
 def _plan_for(purpose: Purpose, **more: Any) -> Kind:
-    request = partial(PlanRequest, machine="", output=Path(MOVES), purpose=purpose)
-    return Kind(partial(plan, purpose=purpose), _NONE, (request,), **more)
+    request = partial(PlanRequest, purpose=purpose)
+    return _kind(f"record plan --for {purpose}", "planning moves", _NONE, request, output=MOVES, **more)
+
+
+def _measured(verb: str, doing: str, *requests: Callable[..., Request], title: str) -> Kind:
+    return _kind(verb, doing, _CAPTURES, *requests, output=BETTER, report=True, title=title)
 
 
 KINDS: dict[str, Kind] = {
-    "compensate": Kind(compensate, _ONE, (partial(CompensateFilesRequest, files=(_ANY,), machine=""),)),
-    "compare": Kind(compare, _ONE, (partial(CompareRequest, _ANY, ""),), title="Compare {name}"),
+    "compensate": _kind("compensate", "compensating", _ONE, CompensateFilesRequest, output="{file}"),
+    "compare": _kind("compare", "comparing with shapers", _ONE, CompareRequest, report=True, title="Compare {name}"),
     "plan": _plan_for("diagnose", title="Moves to diagnose {machine}"),
     "excite": _plan_for("identify", without=("seconds",), title="Moves to fit {machine}"),
-    "diagnose": Kind(
-        partial(measured, verb=("diagnose",), doing="reading the captures"),
-        _CAPTURES,
-        (partial(DiagnoseRequest, (_ANY,), ""),),
-        title="Diagnosis of {machine}",
-    ),
-    "fit": Kind(
-        partial(measured, verb=("identify", "fit"), doing="fitting the machine file"),
-        _CAPTURES,
-        (partial(FitRequest, data=(_ANY,), machine=""), Weighed),
-        title="Fit of {machine}",
-    ),
+    "diagnose": _measured("diagnose", "reading the captures", DiagnoseRequest, title="Diagnosis of {machine}"),
+    "fit": _measured("identify fit", "fitting the machine file", FitRequest, Weighed, title="Fit of {machine}"),
     "page": _plan_for("scan", without=("at", "seconds", "repeats", "height_mm"), title="Page for {machine}"),
-    "scan": Kind(
-        partial(measured, verb=("identify", "scan"), doing="reading the pictures"),
-        _CAPTURES,
-        (partial(ScanRequest, pictures=(_ANY,), plan=_ANY, machine=""),),
-        title="Scan for {machine}",
+    "scan": _measured("identify scan", "reading the pictures", ScanRequest, title="Scan for {machine}"),
+    "ringing": _kind(
+        "identify ringing", "moving the modes", _NONE, RingingRequest, output=BETTER, title="Ringing of {machine}"
     ),
-    "ringing": Kind(ringing, _NONE, (partial(RingingRequest, machine="", output=_ANY),), title="Ringing of {machine}"),
-    "update": Kind(
-        update, _CAPTURES, (partial(UpdateRequest, data=(_ANY,), machine="", output=_ANY),), title="Update of {machine}"
-    ),
+    "update": _measured("identify update", "updating the machine file", UpdateRequest, title="Update of {machine}"),
     "import": Kind(
-        read_machine, _ONE, (Called, partial(ImportMachineRequest, _ANY)), machine=False, title="Machine from {name}"
+        ("machines", "import", "--alone"),
+        "reading the configuration",
+        _ONE,
+        (Called, ImportMachineRequest),
+        output="{name}.toml",
+        machine=False,
+        title="Machine from {name}",
     ),
 }
 

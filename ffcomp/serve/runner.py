@@ -18,7 +18,7 @@ from pathlib import Path
 from ffcomp.result import Answer
 from ffcomp.serve import messages
 from ffcomp.serve.answers import answer_of, keep_first_figure
-from ffcomp.serve.commands import KINDS, PICTURE, REPORT, Step, task_of
+from ffcomp.serve.commands import PICTURE, REPORT, Step, steps, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.settings import MEGABYTE, RESERVE, Settings
 from ffcomp.serve.uploads import Refused
@@ -201,9 +201,9 @@ class Runner:
         (place / "log.txt").unlink(missing_ok=True)
         machine = str(self.find_machine(job.machine)) if job.machine else ""
         inputs = tuple(place / "in" / name for name in job.inputs)
-        steps = KINDS[job.kind].steps(task_of(job.kind, job.options, machine, inputs, place / "out"))
+        todo = steps(job.kind, task_of(job.kind, job.options, machine, inputs, place / "out"))
         notes: list[str] = []
-        for number, step in enumerate(steps):
+        for number, step in enumerate(todo):
             code = self._step(job.id, step, place, number)
             if self.find(job.id).state != RUNNING:
                 return

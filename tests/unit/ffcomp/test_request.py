@@ -12,8 +12,8 @@ import pytest
 from ffcomp.cli.command import verb
 from ffcomp.compensation.request import CompensateFilesRequest
 from ffcomp.errors import RequestError
-from ffcomp.request import ACCURACY, Option, declared, function
-from ffcomp.serve.commands import KINDS, Kind, checked, compensate, forms, task_of
+from ffcomp.request import ACCURACY, Option, function
+from ffcomp.serve.commands import KINDS, Kind, checked, forms, task_of
 from ffcomp.serve.uploads import Refused
 from tests.support.cli import CliRunner
 
@@ -40,9 +40,7 @@ def stirred(request: Stirred) -> float:
 
 @pytest.fixture
 def form(monkeypatch: pytest.MonkeyPatch) -> None:
-    kind = Kind(compensate, range(1, 2), (lambda **options: Stirred(files=(Path("a"),), machine="m", **options),))
-    monkeypatch.setattr("ffcomp.serve.commands.offered", lambda make: [e for e in declared(Stirred) if e.option.label])
-    monkeypatch.setitem(KINDS, "stir", kind)
+    monkeypatch.setitem(KINDS, "stir", Kind(("stir",), "stirring", range(1, 2), (Stirred,)))
 
 
 def test_the_command_line_has_it() -> None:

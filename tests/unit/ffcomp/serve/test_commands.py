@@ -9,7 +9,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
-from ffcomp.serve.commands import KINDS, checked, task_of
+from ffcomp.serve.commands import KINDS, checked, steps, task_of
 from ffcomp.serve.uploads import Refused
 
 OUT = Path("out")
@@ -28,7 +28,7 @@ NAMED = {
 def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str, ...]]:
     files = tuple(Path(each) for each in inputs)
     task = task_of(kind, checked(kind, options), "/machines/kossel.toml", files, OUT)
-    return [step.words for step in KINDS[kind].steps(task)]
+    return [step.words for step in steps(kind, task)]
 
 
 @pytest.mark.parametrize(
