@@ -20,33 +20,7 @@ from models.arrays import FloatArray, constant
 from models.kinematics.base import Kinematics
 from models.vibration.base import VibrationModel
 
-REFERENCE_MM_PER_S = 2.0  # of filament 1.75 mm thick: 4.8 mm³/s, an ordinary print
 CORNER_MM_PER_S = 1.0  # Klipper's default `instantaneous_corner_velocity`
-LEAST_MM_PER_S = 1e-3  # linear below this: the power law is infinitely steep at rest
-
-
-@dataclass(frozen=True, slots=True)
-class Pressure:
-    """The pressure model, and the firmware's own pressure advance."""
-
-    time_constant_s: float
-    flow_exponent: float = 1.0  # n
-    reference_mm_per_s: float = REFERENCE_MM_PER_S  # of filament: the flow where the time constant applies
-    firmware_advance_s: float = 0.0  # the firmware's own pressure advance, which stays on
-    corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # jump of the extruder's speed allowed between two segments
-
-    def compressed(self, v: FloatArray) -> FloatArray:
-        """Return the compressed filament (n,) mm at a flow of v (n,) mm/s, at least 0."""
-        share = np.maximum(v, LEAST_MM_PER_S) / self.reference_mm_per_s
-        law = self.time_constant_s * self.reference_mm_per_s * share**self.flow_exponent
-        return np.asarray(law * np.minimum(v / LEAST_MM_PER_S, 1.0))
-
-    def flow(self, compressed: FloatArray) -> FloatArray:
-        """Return the flow (n,) mm/s at this compression (n,) mm; zero below zero."""
-        least = float(self.compressed(np.array([LEAST_MM_PER_S]))[0])
-        share = np.maximum(compressed, least) / (self.time_constant_s * self.reference_mm_per_s)
-        law = self.reference_mm_per_s * share ** (1.0 / self.flow_exponent)
-        return np.asarray(law * np.clip(compressed / least, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -164,7 +138,6 @@ class Machine:
     input_shaper: tuple[str, ...] | None = None  # commands that switch the firmware's own on; None: unknown
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: unknown
     firmware_version: tuple[int, ...] = ()  # its numbers, such as (2, 1, 2); empty: unknown
-    pressure: Pressure | None = None  # of the hot end; None: unknown
     marlin: MarlinSettings | None = None  # None: unknown
     reprapfirmware: RepRapFirmwareSettings | None = None  # likewise
 

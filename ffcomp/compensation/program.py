@@ -14,9 +14,7 @@ render    compensate.gcode_writer  command and events → text, limits opened an
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +32,6 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error
 from gcode.layers import labels
 from gcode.program import Program
-from models.machine import Pressure
 
 
 class Output(NamedTuple):
@@ -58,11 +55,9 @@ def compensated_sections(
     """
     planned, extent, model, size = chunk.planned, chunk.chunk.extent, context.model, chunk.chunk.program.size
     prediction = Prediction(model, context.share, context.flavor) if chunk.simulated else None
-    checks: list[BoundCheck | PressureCheck] = []
+    check: BoundCheck | None = None
     if context.bound is not None:
-        checks.append(BoundCheck(context.bound, planned.program, chunk.chunk.feature, model.settings))
-    if model.settings.pressure is not None:
-        checks.append(PressureCheck(model.settings.pressure, planned.program))
+        check = BoundCheck(context.bound, planned.program, chunk.chunk.feature, model.settings)
     yield Output((), chunk.statistics, 0.0)
     end_t = planned.trajectory.end_t or 1.0
     for section, solved in solutions(
@@ -83,7 +78,7 @@ def compensated_sections(
         else:
             text += renderer.section(section, solved)
             statistics = of_section(section, solved, planned, extent, model)
-            for check in checks:
+            if check is not None:
                 check.add(solved)
             if prediction is not None:
                 prediction.add(solved, renderer.written)
@@ -92,7 +87,7 @@ def compensated_sections(
     statistics = Statistics(
         segments=renderer.segments,
         print_time_s=renderer.late_s,
-        warnings=tuple(chain.from_iterable(check.warnings() for check in checks)),
+        warnings=() if check is None else check.warnings(),
         predicted=None if prediction is None else prediction.samples,
     )
     yield Output(text, statistics, size)
@@ -137,50 +132,3 @@ class BoundCheck:
         if self.settings.slowing.strict:
             raise LimitsError(sentence)
         return (sentence,)
-
-
-ENOUGH_LEAD = 0.95  # of the lead: less is worth a sentence
-_ADVANCE = re.compile(rb"^\s*(?:SET_PRESSURE_ADVANCE\b.*?\bADVANCE=|M900\b.*?\bK|M572\b.*?\bS)([\d.]+)", re.IGNORECASE)
-
-
-class PressureCheck:
-    """Looks at how much of the lead was written, section by section."""
-
-    def __init__(self, pressure: Pressure, program: Program) -> None:
-        self.pressure, self.program = pressure, program
-        self.short: list[tuple[float, int]] = []  # share and line
-
-    def add(self, solved: SolvedSection) -> None:
-        """Look at a section."""
-        share = solved.reference.lead.share
-        if share < ENOUGH_LEAD:
-            self.short.append((share, self.program.line_of(solved.section.first)))
-
-    def warnings(self) -> tuple[str, ...]:
-        """Say where the extruder cannot follow, and where the file sets the firmware's own pressure advance."""
-        return (*self._short(), *self._others())
-
-    def _short(self) -> tuple[str, ...]:
-        if not self.short:
-            return ()
-        share, line = min(self.short)
-        where = "one section" if len(self.short) == 1 else f"{len(self.short)} sections"
-        jump = self.pressure.corner_velocity_mm_per_s
-        return (
-            f"line {line}: only {100 * share:.0f} % of the lead for the hot end's pressure is written here, because "
-            f"the extruder's speed may jump by {jump:g} mm/s only ({where}); let the firmware's own pressure advance "
-            "do most of it (extruder.firmware_advance_s), or raise extruder.corner_velocity_mm_per_s as in the "
-            "firmware.",
-        )
-
-    def _others(self) -> tuple[str, ...]:
-        known = self.pressure.firmware_advance_s
-        for number, line in enumerate(self.program.lines):
-            match = _ADVANCE.match(line)
-            if match and abs(float(match[1]) - known) > 1e-6:
-                return (
-                    f"line {self.program.first_line + number + 1}: the file sets the firmware's pressure advance to "
-                    f"{float(match[1]):g} s, and extruder.firmware_advance_s of the machine file is {known:g}; they "
-                    "must be the same.",
-                )
-        return ()

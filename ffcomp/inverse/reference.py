@@ -1,18 +1,9 @@
-"""The reference motion of one section, sampled on the inverse's own knots.
-
-The filament is ahead of its path, so that what flows out follows it (`lead_of`). The nozzle follows the plan within
-some µm, so what should flow at each time is the plan's. The pressure model of one state is inverted exactly:
-v_in = v_out + ds/dt. What the firmware's own pressure advance adds to the written filament is taken off: with e
-written, it pushes e + K de/dt. A firmware lets the extruder's speed jump by little between two segments, and slows down
-where it would jump by more. So the lead is smoothed until it does not; where that is not enough, only a share of it is
-written.
-"""
+"""The reference motion of one section, sampled on the inverse's own knots."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -24,8 +15,6 @@ from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves
 from models.arrays import FloatArray
-from models.compiled import kernel
-from models.machine import Pressure
 
 LEAST_S = 0.003  # least time of a command beyond a section that extrudes
 ALL_ROOM_FROM_S = 5.0  # of motion
@@ -90,7 +79,7 @@ class Reference:
         trajectory = trajectory.part(section.first, section.last)
         room = room or Room(settings.lead_s, settings.tail_s)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
-        self._evened_mm: FloatArray | float = 0.0  # (n + 1,) lead of the filament at the knots; `even_flow`
+        self._evened_mm: FloatArray | None = None  # (n + 1,) the filament ahead of the plan's at the knots: `even_flow`
         self.t0 = section.begin_t - room.lead_s  # s on the plan's clock
         if through is not None:
             t, multiple = through
@@ -100,7 +89,7 @@ class Reference:
         self.shortest_knots = settings.merging.shortest  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
-        self._substeps, self._pressure = settings.substeps, settings.pressure
+        self._substeps = settings.substeps
 
     def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
         """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""
@@ -138,24 +127,17 @@ class Reference:
     def extrusion(self, first: int = 0, last: int | None = None) -> FloatArray:
         """Return the filament at the knots first … last (all of them), (n,) mm."""
         last = self.knots if last is None else last
-        return (self._filament + self._evened_mm)[first : last + 1]
+        filament = self._filament if self._evened_mm is None else self._filament + self._evened_mm
+        return filament[first : last + 1]
 
     @cached_property
     def _filament(self) -> FloatArray:
         """The filament at all knots, (n + 1,) mm; needed to solve, time and write a section."""
-        return self._position(self._knots_t)[:, 3] + self.lead.mm
+        return self._position(self._knots_t)[:, 3]
 
     @property
     def _knots_t(self) -> FloatArray:
         return self.t0 + np.arange(self.knots + 1, dtype=np.float64) * self._segment_s
-
-    @cached_property
-    def lead(self) -> Lead:
-        """How far the filament is ahead of its path at all knots, so that what flows out follows it."""
-        if self._pressure is None:
-            return Lead(np.zeros(self.knots + 1), 1.0)
-        section = self._section
-        return lead_of(self._trajectory, section.begin_t, section.end_t, self._knots_t, self._pressure)
 
     def even_flow(self, vertices: FloatArray, around: NDArray[np.bool_] | None, fixed: Iterable[float] = ()) -> None:
         """Let the filament follow the command's travel around some segments, instead of the plan's.
@@ -171,7 +153,7 @@ class Reference:
         around : (n,) the segments; None: the filament follows the plan again
         fixed : times on the plan's clock where the filament stays that of the plan, s
         """
-        self._evened_mm = 0.0
+        self._evened_mm = None
         if around is None:
             return
         position = self._position(self._knots_t)
@@ -221,7 +203,9 @@ class Reference:
 
     def lead_at(self, knots: FloatArray) -> FloatArray:
         """Return how far the filament is ahead at places (m,) in knots, (m,) mm."""
-        return np.interp(knots, np.arange(self.knots + 1, dtype=np.float64), self.lead.mm + self._evened_mm)
+        if self._evened_mm is None:
+            return np.zeros(len(knots))
+        return np.interp(knots, np.arange(self.knots + 1, dtype=np.float64), self._evened_mm)
 
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next section may have begun, somewhere else
@@ -250,107 +234,7 @@ def _stretches(marked: NDArray[np.bool_], cuts: list[int]) -> Iterator[slice]:
         yield from (slice(*ends) for ends in pairwise([first, *inner, after]))
 
 
-LEAD_SUBSTEPS = 4  # of a segment
-SMOOTHED = (0, 1, 2, 4, 6)  # segments to either side, tried in this order
-HALVINGS = 6
 STANDS_MM = 1e-9
-STEEP = 1.02  # times the jump that is allowed: what rounding may add
-
-
-@dataclass(frozen=True, eq=False)
-class Lead:
-    """How far the filament is ahead at n + 1 knots."""
-
-    mm: FloatArray  # (n + 1,)
-    share: float  # of the model's demand; below 1 where the firmware's extruder cannot follow
-
-
-def lead_of(trajectory: Trajectory, begin_s: float, end_s: float, knots_t: FloatArray, pressure: Pressure) -> Lead:
-    """Return the lead of a motion from rest to rest.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    begin_s, end_s : float
-        Where the motion begins and ends on the plan's clock, s.
-    knots_t : (n + 1,) array
-        Times of its knots, s.
-    pressure : Pressure
-    """
-    last = np.nextafter(end_s, -np.inf)
-    t = np.linspace(knots_t[0], knots_t[-1], LEAD_SUBSTEPS * (len(knots_t) - 1) + 1)
-    position = trajectory.position(np.clip(t, begin_s, last))
-    step_s = float(t[1] - t[0])
-    wanted = _lead(position, step_s, pressure)
-    moving = (knots_t > begin_s) & (knots_t < end_s)
-    inside = np.flatnonzero((t > begin_s) & (t < end_s))
-    if not len(inside) or not wanted.any():
-        return Lead(np.zeros(len(knots_t)), 1.0)
-    path = position[::LEAD_SUBSTEPS]
-    allowed = max(pressure.corner_velocity_mm_per_s, _jump(path, np.zeros(len(path)), knots_t)) * STEEP
-    mm = np.zeros(len(knots_t))
-    for segments in SMOOTHED:
-        smooth = wanted.copy()
-        smooth[inside] = _smoothed(wanted[inside], LEAD_SUBSTEPS * segments)
-        mm = np.where(moving, smooth[::LEAD_SUBSTEPS], 0.0)
-        if _jump(path, mm, knots_t) <= allowed:
-            return Lead(mm, 1.0)
-    share = _largest_share(path, mm, knots_t, allowed)
-    return Lead(share * mm, share)
-
-
-def _lead(position: FloatArray, step_s: float, pressure: Pressure) -> FloatArray:
-    """Return by how much the written filament is ahead, (m,) mm: position is (m, 4) mm, even steps."""
-    steps = np.diff(position, axis=0)
-    along = np.sqrt((steps[:, :3] ** 2).sum(axis=1)) > STANDS_MM
-    flow = np.where(along & (steps[:, 3] > 0.0), steps[:, 3], 0.0) / step_s
-    flow = np.append(flow, 0.0)
-    flow[1:-1] = 0.5 * (flow[1:-1] + flow[:-2])  # at the samples, not between them
-    compressed = pressure.compressed(flow)
-    if not pressure.firmware_advance_s:
-        return compressed
-    return np.asarray(_lagging(compressed - pressure.firmware_advance_s * flow, step_s / pressure.firmware_advance_s))
-
-
-@kernel
-def _lagging(wanted: FloatArray, step: float) -> FloatArray:
-    """Return the lag of first order of (m,) values, `step` of its time constant apart."""
-    out = np.zeros(len(wanted))
-    keeps = np.exp(-step)
-    for k in range(1, len(wanted)):
-        out[k] = keeps * out[k - 1] + (1.0 - keeps) * wanted[k]
-    return out
-
-
-def _smoothed(values: FloatArray, half: int) -> FloatArray:
-    """Return values (m,) under a triangle so many samples to either side; zero at both ends, as at rest."""
-    if not half:
-        return values
-    half = min(half, len(values))
-    mirrored = np.concatenate([-values[:half][::-1], values, -values[-half:][::-1]])
-    window = np.bartlett(2 * half + 1)
-    return np.asarray(np.convolve(mirrored, window / window.sum(), mode="same")[half : half + len(values)])
-
-
-def _jump(path: FloatArray, lead: FloatArray, knots_t: FloatArray) -> float:
-    """Return by how much the extruder's speed jumps at most between two segments as firmwares see it, mm/s."""
-    way = np.sqrt((np.diff(path[:, :3], axis=0) ** 2).sum(axis=1))
-    goes = way > STANDS_MM
-    ratio = np.divide(np.diff(path[:, 3] + lead), way, out=np.zeros(len(way)), where=goes)
-    speed = way / np.diff(knots_t)
-    both = goes[1:] & goes[:-1]
-    jumps = np.abs(np.diff(ratio)) * np.minimum(speed[1:], speed[:-1])
-    return float(jumps[both].max(initial=0.0))
-
-
-def _largest_share(path: FloatArray, lead: FloatArray, knots_t: FloatArray, allowed: float) -> float:
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _jump(path, middle * lead, knots_t) <= allowed else (low, middle)
-    return low
-
-
 LEAST_CONTEXT_S = 3.0  # of motion on either side of a cut: to plan, to settle and to look ahead
 SLOWEST_RAMPS = 3.0  # times the duration of the slowest ramp, at least
 CRUISE_RATIO = 0.5  # where the file says nothing

@@ -24,7 +24,7 @@ from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
-from models.machine import Machine, Pressure
+from models.machine import Machine
 
 LOWEST_HZ, HIGHEST, STEP = 60.0, 0.46, 1.06  # Hz, of the segments' rate, from one bandwidth to the next
 FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps,
@@ -157,7 +157,6 @@ class Settings:
     one_model: bool = False  # that of the bed's middle everywhere
     slowing: SlowingSettings = SlowingSettings()
     writer: WriterSettings = WriterSettings()
-    pressure: Pressure | None = None  # of the hot end, which the filament allows for; None: it follows the plan
     output: SegmentLimits = field(default_factory=SegmentLimits)
 
     @property
@@ -203,7 +202,6 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
         bandwidth_hz=curve.knee_hz,
         robust_share=1.0 if coupled else curve.knee_above(FLOOR_UM) / curve.knee_hz,
         compliance_s2=nozzle_compliance(design),
-        pressure=machine.pressure,
     )
 
 

@@ -212,9 +212,6 @@ def planner_limits(machine: Machine) -> PlannerLimits:
         square_corner_velocity_mm_per_s=limits.square_corner_velocity_mm_per_s,
         z_velocity_mm_per_s=limits.z_velocity_mm_per_s,
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2,
-        instantaneous_corner_velocity_mm_per_s=CORNER_MM_PER_S
-        if machine.pressure is None
-        else machine.pressure.corner_velocity_mm_per_s,
         delta=_slow_zones(machine.kinematics, machine.steps),
     )
 

@@ -21,7 +21,7 @@ from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.quantities import PLAIN, Quantities
 from models.schema.delta import CarriageTable, EffectorTable, KinematicsTable, missing_lengths
-from models.schema.printer import ExtruderTable, FirmwareTable, LimitsTable, MacrosTable, StepsTable
+from models.schema.printer import FirmwareTable, LimitsTable, MacrosTable, StepsTable
 from models.schema.straight import AxesTable, DrivenAxisTable, OneAxisTable, StraightTable, quantities_of
 from models.schema.table import Table, did_you_mean, number_keys, refuse, sentences
 from models.vibration.base import VibrationModel
@@ -164,7 +164,6 @@ class PrinterDocument(Document):
 
     limits: LimitsTable
     steps: StepsTable = StepsTable()
-    extruder: ExtruderTable | None = None
     firmware: FirmwareTable = FirmwareTable()
     macros: MacrosTable = MacrosTable()
     effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
@@ -203,7 +202,6 @@ class PrinterDocument(Document):
             reprapfirmware=None
             if firmware.reprapfirmware is None
             else firmware.reprapfirmware.settings(limits, towers),
-            pressure=None if self.extruder is None else self.extruder.pressure(),
         )
 
 

@@ -10,11 +10,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from models.machine import (
-    CORNER_MM_PER_S,
-    REFERENCE_MM_PER_S,
     MarlinSettings,
     MotionLimits,
-    Pressure,
     RepRapFirmwareSettings,
     Steps,
 )
@@ -79,20 +76,6 @@ class StepsTable(Table):
             self.extruder_steps_per_mm,
             tuple(sorted(self.model_fields_set)),
         )
-
-
-class ExtruderTable(Table):
-    """`[extruder]`: pressure in the hot end."""
-
-    pressure_time_constant_s: float = Field(gt=0, le=2)
-    pressure_flow_exponent: float = Field(1.0, ge=0.2, le=2)
-    pressure_reference_mm_per_s: float = Field(REFERENCE_MM_PER_S, ge=0.01, le=100)
-    firmware_advance_s: float = Field(0.0, ge=0, le=2)
-    corner_velocity_mm_per_s: float = Field(CORNER_MM_PER_S, ge=0.01, le=1000)
-
-    def pressure(self) -> Pressure:
-        """Return the pressure model."""
-        return Pressure(**{key.removeprefix("pressure_"): value for key, value in self.model_dump().items()})
 
 
 Speeds = Annotated[list[Annotated[float, Field(ge=0.01, le=5000)]], FOUR]

@@ -27,7 +27,6 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "axis.drive": (AxisDocument, "axis.drive"),
     "limits": (DeltaDocument, "limits"),
     "steps": (DeltaDocument, "steps"),
-    "extruder": (DeltaDocument, "extruder"),
     "firmware": (DeltaDocument, "firmware"),
     "firmware.marlin": (DeltaDocument, "firmware.marlin"),
     "firmware.reprapfirmware": (DeltaDocument, "firmware.reprapfirmware"),

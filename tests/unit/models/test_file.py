@@ -186,16 +186,6 @@ def test_the_library_prints_table_1(as_printed) -> None:
 # --- House rules
 
 
-def test_the_pressure_of_the_hot_end(write) -> None:
-    assert load_machine(write(MINIMAL)).pressure is None
-    text = MINIMAL + "\n[extruder]\npressure_time_constant_s = 0.05\nfirmware_advance_s = 0.04\n"
-    pressure = load_machine(write(text)).pressure
-    assert pressure is not None and (pressure.time_constant_s, pressure.firmware_advance_s) == (0.05, 0.04)
-    assert (pressure.flow_exponent, pressure.corner_velocity_mm_per_s) == (1.0, 1.0)
-    with pytest.raises(MachineFileError, match="pressure_time_constant_s"):
-        load_machine(write(MINIMAL + "\n[extruder]\nfirmware_advance_s = 0.04\n"))
-
-
 # ---- library ----
 
 
