@@ -72,18 +72,7 @@ def build_track(
     print_time_s: float,
     peak_command_acceleration: float,
 ) -> Track:
-    """Build the TRACK of one motion.
-
-    Parameters
-    ----------
-    at_equal_times : Tracking
-        Tracking error and delay, see `tracking`.
-    contour_mm : (m,) array
-        Contour error of every sample in mm, see `contour_error`.
-    print_time_s : float
-    peak_command_acceleration : float
-        In mm/s², of the actuators' command, see `peak_acceleration`.
-    """
+    """Build the TRACK of one motion from `tracking`, `contour_error`, mm, and the accelerations of `peaks`, mm/s²."""
     contour = contour_statistics(contour_mm)
     return Track(
         tracking_rms_um=at_equal_times.rms_mm * 1e3,
@@ -96,42 +85,6 @@ def build_track(
         print_time_s=print_time_s,
         peak_command_acceleration_mm_per_s2=peak_command_acceleration,
     )
-
-
-def track(
-    t: FloatArray,
-    reference: FloatArray,
-    actual: FloatArray,
-    path_t: FloatArray,
-    path_xyz: FloatArray,
-    peak_command_acceleration: float,
-) -> Track:
-    """Evaluate one motion.
-
-    Parameters
-    ----------
-    t : (m,) array
-        Evenly spaced times in s.
-    reference, actual : (m, 3) arrays
-        The nozzle at these times in mm.
-    path_t : (n,) array
-        Planned times of the reference path's corners in s.
-    path_xyz : (n, 3) array
-        These corners in mm.
-    peak_command_acceleration : float
-        In mm/s², of the actuators' command, see `peak_acceleration`.
-    """
-    at_equal_times = tracking(reference, actual, _step(t))
-    contour = contour_error(path_t, path_xyz, t, actual)
-    return build_track(at_equal_times, contour, float(path_t[-1] - path_t[0]), peak_command_acceleration)
-
-
-def _step(t: FloatArray) -> float:
-    dt = float(t[-1] - t[0]) / (len(t) - 1)
-    worst = float(np.max(np.abs(np.diff(t) - dt)))
-    if worst > 1e-3 * dt:
-        raise ValueError(f"Times must be evenly spaced; here a step of {dt:.3g} s is off by {worst:.3g} s.")
-    return dt
 
 
 def rms(x: FloatArray) -> float:
@@ -307,24 +260,22 @@ def end_to_end(reference: Sequence[FloatArray], actual: Sequence[FloatArray]) ->
 # ---- effort --------------------------------------------------------------------------------------
 
 
-def peak_acceleration(command: FloatArray, dt: float, span_s: float = EFFORT_SPAN_S) -> float:
-    """Return the largest |acceleration| of any actuator's command, mm/s² : second difference over span_s.
+def peaks(command: FloatArray, dt: float) -> tuple[float, float]:
+    """Return the largest speed, mm/s, and acceleration, mm/s², of a command (n, k) mm every dt, in any column.
 
-    Parameters
-    ----------
-    command : (n, k) array
-        Actuator positions in mm every dt.
-    dt : float
-        In s.
-    span_s : float
-        At least one sample.
-
-    NOTE: a planner's corner is a jump of speed, whose acceleration has no limit as dt goes to zero; over a
-    fixed span it is a number that does not depend on how finely the command was sampled.
+    Both are differences over EFFORT_SPAN_S. A planner's corner is a jump of speed, whose acceleration has no limit as
+    dt goes to zero; over a fixed span it does not depend on how finely the command was sampled.
     """
+    n = max(1, round(EFFORT_SPAN_S / dt))
+    speed = float(np.abs(command[n:] - command[:-n]).max(initial=0.0)) / (n * dt)
+    return speed, peak_acceleration(command, dt)
+
+
+def peak_acceleration(command: FloatArray, dt: float, span_s: float = EFFORT_SPAN_S) -> float:
+    """Return the largest |acceleration| of a command (n, k) mm every dt, mm/s²: second difference over span_s."""
     n = max(1, round(span_s / dt))
     bend = command[2 * n :] - 2 * command[n:-n] + command[: -2 * n]
-    return float(np.max(np.abs(bend))) / (n * dt) ** 2
+    return float(np.max(np.abs(bend), initial=0.0)) / (n * dt) ** 2
 
 
 PIECE_MM = 1.0  # of a path: within one, a point may go back

@@ -17,7 +17,7 @@ from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.metrics import peak_acceleration, track
+from ffcomp.metrics import build_track, contour_error, peaks, tracking
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
 from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.simulation.expectation import EXCERPT_S, Piece, expectation, pieces_of_segments
@@ -85,10 +85,11 @@ class Samples:
         reference = np.concatenate(self.reference)
         t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
         path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
-        tracks = {
-            name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
-            for name, motion in zip(WAYS, (self.before, self.after), strict=True)
-        }
+        seconds, tracks = float(path_t[-1] - path_t[0]), {}
+        for name, motion in zip(WAYS, (self.before, self.after), strict=True):
+            actual = np.concatenate(motion.actual)
+            errors = tracking(reference, actual, self.sample_s), contour_error(path_t, path, t, actual)
+            tracks[name] = build_track(*errors, seconds, motion.peak)
         return Forecast(tracks, self.covered_s, expected=expectation(machine, self.pieces))
 
 
@@ -139,14 +140,13 @@ class Prediction:
             state = model.state_after_rest(self.ringing, nozzle[0], solved.rest_s)
         sliced = self._sliced(reference) if written else reference.nozzle
         t = reference.t0 + self._step_s * np.arange(len(nozzle), dtype=np.float64)
-        plain, ringing = model.plant.respond(sliced(t), velocity, state, s.substeps)
+        by_slicer = sliced(t)
+        plain, ringing = model.plant.respond(by_slicer, velocity, state, s.substeps)
         solved_for, executed = self._commands(solved, written)
         response = result.response + self._joining(solved, nozzle, solved_for, executed)
-        knots = nozzle[:: s.substeps]
-        for motion, actual, command in ((samples.before, plain, knots), (samples.after, response, result.vertices)):
+        for motion, actual, command in ((samples.before, plain, by_slicer), (samples.after, response, executed)):
             motion.actual.append(actual[every - 1 :: every] + shift)
-            bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s)
-            motion.peak = max(motion.peak, bend)
+            motion.peak = max(motion.peak, peaks(model.kinematics.inverse(command), self._step_s)[1])
         samples.pieces += self._pieces(solved, sliced, executed)
         samples.clock += length
         return ringing

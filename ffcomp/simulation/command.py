@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ffcomp.firmware.program import PlannedProgram
-from ffcomp.metrics import EFFORT_SPAN_S, peak_acceleration, progress_in_order
+from ffcomp.metrics import EFFORT_SPAN_S, peaks, progress_in_order
 from ffcomp.planner.trajectory import Trajectory
 from gcode.embedded import section_times
 from gcode.errors import GcodeError
@@ -65,15 +65,9 @@ class Command:
 
 
 def command_peaks(actuators: OfTime, begin_s: float, end_s: float) -> tuple[float, float]:
-    """Return the largest speed, mm/s, and acceleration, mm/s², that a command demands of any actuator.
-
-    Both are differences over the time of one segment.
-    """
-    span = round(EFFORT_SPAN_S / SAMPLE_S)
-    t = begin_s + SAMPLE_S * np.arange(max((end_s - begin_s) / SAMPLE_S, 2 * span) + 1)
-    position = actuators(t)
-    speed = float(np.abs(position[span:] - position[:-span]).max()) / EFFORT_SPAN_S
-    return speed, peak_acceleration(position, SAMPLE_S)
+    """Return the largest speed, mm/s, and acceleration, mm/s², that a command demands of any actuator: `peaks`."""
+    t = begin_s + SAMPLE_S * np.arange(max((end_s - begin_s) / SAMPLE_S, 2 * round(EFFORT_SPAN_S / SAMPLE_S)) + 1)
+    return peaks(actuators(t), SAMPLE_S)
 
 
 @dataclass(frozen=True, slots=True)
