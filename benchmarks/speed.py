@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
+from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.firmware.program import firmware_plan
 from ffcomp.steps.archive import read_steps
@@ -84,7 +84,7 @@ def best_s(work: Callable[[], object], rounds: int) -> float:
 
 def compensated(path: Path, target: Path) -> Statistics:
     """Compensate a print as the command line does, but without the prediction."""
-    done = compensate_file(path, path.name, MACHINE, Options(predict=False), target)
+    done = compensate_file(path, path.name, MACHINE, CompensateOptions(predict=False, robust="off"), target)
     return done.result.statistics
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from ffcomp.api.machines import load_machine
 from ffcomp.compensation.batch import size_of, workers
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
 from ffcomp.compensation.request import CompensateRequest
 from ffcomp.compensation.result import CompensatedFile
 from ffcomp.errors import RequestError
@@ -31,12 +30,11 @@ def compensate_print(
     bed : the slicer's, if it has stated it otherwise than in the file
     """
     machine, file = load_machine(request.machine), Path(request.file)
-    options = Options.of(request, machine, bed)
     target = None if request.output is None else Path(request.output)
     jobs = min(request.jobs, max(size_of(file) // PART_BYTES, 1))  # chunks
     with workers(jobs, request.scheduler) as at_once:
         done = compensate_file(
-            file, name or str(file), machine, options, target, jobs=at_once, progress=request.progress
+            *(file, name or str(file), machine, request, target), bed=bed, jobs=at_once, progress=request.progress
         )
     output = file if done.already and str(done.output) == done.path else done.output
     return replace(done, path=str(file), output=output, advice=tuple(advice))

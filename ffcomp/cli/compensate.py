@@ -16,7 +16,6 @@ from ffcomp.request import shared_with
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
-    from ffcomp.compensation.job import Options
     from ffcomp.compensation.result import CompensatedFile, CompensatedFiles
     from ffcomp.integrations.slicer import Call
     from models.machine import Machine
@@ -35,7 +34,6 @@ def compensate(request: CompensateFilesRequest) -> Result:
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
     from ffcomp.compensation.batch import targets_of
-    from ffcomp.compensation.job import Options
     from ffcomp.integrations.slicer import read_call
     from models.file import load_machine
 
@@ -46,7 +44,7 @@ def compensate(request: CompensateFilesRequest) -> Result:
         return _compensate_one(request, machine, targets[0], call, advice)
     for sentence in advice:
         say(f"ffcomp: {sentence}")
-    return _compensate_all(request, machine, targets, Options.of(request, machine, call.bed))
+    return _compensate_all(request, machine, targets, call)
 
 
 def _advice(request: CompensateFilesRequest, machine: Machine, call: Call) -> list[str]:
@@ -83,7 +81,7 @@ def _compensate_all(
     request: CompensateFilesRequest,
     machine: Machine,
     targets: list[Path] | list[None],
-    options: Options,
+    call: Call,
 ) -> CompensatedFiles:
     """Compensate several files; return their results in the order of the files."""
     from ffcomp.compensation.batch import compensate_files, size_of
@@ -97,7 +95,8 @@ def _compensate_all(
         work = compensate_files(
             files,
             machine,
-            options,
+            request,
+            bed=call.bed,
             targets=targets,
             jobs=request.jobs,
             scheduler=request.scheduler,

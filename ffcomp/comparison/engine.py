@@ -35,7 +35,7 @@ from ffcomp.comparison.methods import COMPENSATED, TunedMethod
 from ffcomp.comparison.result import Comparison, Method, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, WHOLE_PRINT, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
+from ffcomp.compensation.request import CompensateOptions
 from ffcomp.errors import RequestError
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
@@ -267,5 +267,6 @@ def _predicted(printed: Print, settings: Settings) -> Forecast:
     """Predict the whole print as `compensate` does; nothing of a long one."""
     if printed.print_time_s > WHOLE_S:
         return NO_FORECAST
-    options = Options(force=True, offset=printed.offset, flavor=printed.flavor, settings=settings)
-    return compensate_file(printed.data, printed.path, printed.machine, options, None).result.forecast
+    request = CompensateOptions(force=True, offset_mm=printed.offset, flavor=printed.flavor)
+    done = compensate_file(printed.data, printed.path, printed.machine, request, None, inverse=settings)
+    return done.result.forecast

@@ -19,10 +19,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
-from ffcomp.compensation.request import CompensateFilesRequest
+from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions
 from ffcomp.compensation.result import DIED, FileResult, attempt, failure_of
 from ffcomp.errors import FfcompError, RequestError
+from ffcomp.integrations.slicer import Bed
 from gcode.atomic_write import replace_atomically
 from gcode.errors import GcodeError
 from gcode.text import PART_BYTES, raw_blocks
@@ -34,8 +34,9 @@ LARGEST = 8 << 20  # bytes of a file that one of several processes works at; its
 def compensate_files(
     files: Sequence[Path],
     machine: Machine,
-    options: Options = Options(),  # noqa: B008 (frozen)
+    request: CompensateOptions,
     *,
+    bed: Bed | None = None,
     targets: Sequence[Path | None] | None = None,
     jobs: int = 1,
     scheduler: str = "",
@@ -57,21 +58,22 @@ def compensate_files(
     """
     chosen: list[Path | None] = list(files) if targets is None else list(targets)
     check_targets(files, chosen)
-    return _compensated(list(files), chosen, machine, options, jobs, scheduler, progress)
+    return _compensated(list(files), chosen, machine, request, bed, jobs, scheduler, progress)
 
 
 def _compensated(
     files: list[Path],
     targets: list[Path | None],
     machine: Machine,
-    options: Options,
+    request: CompensateOptions,
+    bed: Bed | None,
     jobs: int,
     scheduler: str,
     progress: Callable[[float], None],
 ) -> Generator[FileResult, None, None]:
     sizes, done = [size_of(file) for file in files], 0
     with workers(jobs, scheduler) as at_once:
-        batch = _Batch(files, targets, machine, options, at_once, bool(scheduler))
+        batch = _Batch(files, targets, machine, request, bed, at_once, bool(scheduler))
         large, small = _by_size(sizes, at_once)
         for number in large:
 
@@ -172,7 +174,8 @@ class _Batch:
     files: Sequence[Path]
     targets: Sequence[Path | None]
     machine: Machine
-    options: Options
+    request: CompensateOptions
+    bed: Bed | None
     jobs: int
     far: bool  # whether the processes cannot read our files
 
@@ -182,7 +185,10 @@ class _Batch:
             number,
             self.files[number],
             lambda path: compensate_file(
-                path, str(path), self.machine, self.options, self.targets[number], jobs=self.jobs, progress=progress
+                *(path, str(path), self.machine, self.request, self.targets[number]),
+                bed=self.bed,
+                jobs=self.jobs,
+                progress=progress,
             ),
         )
 
@@ -224,7 +230,7 @@ class _Batch:
             source = b"".join(raw_blocks(file)) if self.far else file
         except (OSError, GcodeError) as error:
             return delayed(_Done)(self._failed(number, error))
-        return delayed(_work)(number, file, source, wanted, self.machine, self.options)
+        return delayed(_work)(number, file, source, wanted, self.machine, self.request, self.bed)
 
     def _written(self, done: _Done) -> FileResult:
         outcome, target = done.outcome, self.targets[done.outcome.number]
@@ -257,14 +263,22 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
             answers.close()
 
 
-def _work(number: int, file: Path, source: Path | bytes, wanted: bool, machine: Machine, options: Options) -> _Done:
+def _work(
+    number: int,
+    file: Path,
+    source: Path | bytes,
+    wanted: bool,
+    machine: Machine,
+    request: CompensateOptions,
+    bed: Bed | None,
+) -> _Done:
     """Compensate a file in another process."""
     with TemporaryDirectory() as folder:
         draft = Path(folder, "draft")
         outcome = attempt(
             number,
             file,
-            lambda path: compensate_file(source, str(path), machine, options, draft if wanted else None),
+            lambda path: compensate_file(source, str(path), machine, request, draft if wanted else None, bed=bed),
         )
         return _Done(outcome, draft.read_bytes() if draft.exists() else None)
 

@@ -8,9 +8,12 @@ from functools import partial
 from os.path import realpath
 from pathlib import Path
 
-from ffcomp.compensation.job import Job, Lines, Options
+from ffcomp.compensation.job import Job, Lines
+from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.errors import LimitsError
+from ffcomp.integrations.slicer import Bed
+from ffcomp.inverse.settings import Settings
 from gcode.atomic_write import replace_atomically, replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened
 from gcode.embedded import find_stamp
@@ -23,9 +26,11 @@ def compensate_file(
     source: bytes | Path,
     path: str,
     machine: Machine,
-    options: Options,
+    request: CompensateOptions,
     target: Path | None,
     *,
+    bed: Bed | None = None,
+    inverse: Settings | None = None,
     jobs: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> CompensatedFile:
@@ -39,10 +44,14 @@ def compensate_file(
         The file, as the user named it.
     machine : Machine
         What it is compensated for.
-    options : Options
+    request : CompensateOptions
         How it is compensated.
     target : Path or None
         Is replaced at the end or not at all; None: nothing is written.
+    bed : Bed or None
+        The slicer's, if it has said it otherwise than in the file.
+    inverse : Settings or None
+        Of the inverse, where a comparison has chosen them.
     jobs : int
         Processes that work at it.
     progress : callable
@@ -51,21 +60,26 @@ def compensate_file(
     still_the_same = unchanged(source)
     with opened(source, path) as container:
         stamps = {name: find_stamp(*ends_of(text)[:2]) for name, text in container.prints.items()}
-        again = options.force or options.steps is not None
+        again = request.force or request.kind != "gcode"
         todo = {
-            name: Job(text, f"{path}/{name}" if name else path, machine, options, stamps[name] is not None, jobs)
+            name: Job(
+                *(text, f"{path}/{name}" if name else path, machine, request, bed),
+                restore=stamps[name] is not None,
+                jobs=jobs,
+                inverse=inverse,
+            )
             for name, text in container.prints.items()
             if again or stamps[name] is None
         }
         if not todo:
             return already_compensated(path, stamps.values(), _copied(source, target) or Path(path))
-        if options.steps is None:
+        if request.kind == "gcode":
             results = _write(container, todo, target, progress, still_the_same)
         else:
             if len(todo) > 1:
                 several = ", ".join(todo)
                 raise UnsupportedGcode(f"Step timings are of one print, and the file holds {several}.", path=path)
-            results = {name: job.write_steps(target, options.steps, progress) for name, job in todo.items()}
+            results = {name: job.write_steps(target, progress) for name, job in todo.items()}
         return CompensatedFile(path, target, results)
 
 

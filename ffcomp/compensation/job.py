@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import chain, islice
 from math import inf
 from pathlib import Path
@@ -57,71 +58,6 @@ Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 MERGED_SHARE = 0.1  # of a bound, that joined segments may miss their path by
 
 
-@dataclass(frozen=True, slots=True)
-class StepOutput:
-    """Step timings instead of G-code."""
-
-    board: Board
-    error_s: float | None  # of a compressed step; None: every step is exact
-    plain: bool = False  # uncompensated
-    motion: bool = False  # the path itself; the host computes the steps
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """The options that are the same for many files."""
-
-    offset: Offset | None = None  # mm, added to every position; None: chosen so that the print lies inside
-    flavor: str = ""  # "": what the machine file says, or else the file
-    settings: Settings | None = None  # None: what the machine's limits give
-    predict: bool = True
-    keep_shaper: bool | None = None  # the firmware's own; None: off if the machine file has one
-    force: bool = False  # compensate again what is stamped
-    steps: StepOutput | None = None  # None: G-code
-    bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
-    bound: Bound | None = None  # on the error: the quickest print that keeps it; None: the slicer's speed
-    robust: RobustChoice = PLAIN  # which the settings follow, and why
-
-    @classmethod
-    def of(cls, request: CompensateOptions, machine: Machine, bed: Bed | None = None) -> Options:
-        """Return the options of a request for a machine."""
-        plain = request.inverse == "none"
-        settings = replace(
-            settings_for(machine, request.max_segments_per_second),
-            slowing=SlowingSettings(tolerance_um=request.tolerance_um, strict=request.strict),
-            writer=WriterSettings(embed=request.embed),
-        )
-        bound = _bound_of(request)
-        if request.robust == "auto" and (plain or bound is not None):
-            choice = PLAIN
-        else:
-            choice = choose_robust(machine, settings, {"on": True, "off": False}.get(request.robust))
-        made = {"settings": replace(settings, robust=choice.robust), "steps": _step_output(request, machine)}
-        return cls(**shared_with(request, cls, **made, offset=request.offset_mm, bed=bed, bound=bound, robust=choice))
-
-
-def _bound_of(request: CompensateOptions) -> Bound | None:
-    errors_um = request.errors_um
-    if not errors_um:
-        return None
-    return Bound(**shared_with(request, Bound, max_error_um=errors_um.pop(""), of_features_um=tuple(errors_um.items())))
-
-
-def _step_output(request: CompensateOptions, machine: Machine) -> StepOutput | None:
-    plain = request.inverse == "none"
-    if request.kind == "gcode":
-        return None
-    if request.kind == "host":  # whose own settings make the steps
-        return StepOutput(Board(1.0), None, plain, motion=True)
-    per_mm = request.extruder_steps_per_mm or machine.steps.extruder_steps_per_mm
-    if per_mm is None:
-        raise RequestError(
-            f"--kind {request.kind} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, "
-            "or extruder_steps_per_mm in [steps] of the machine file."
-        )
-    return StepOutput(Board(per_mm), ROW_ERROR_S if request.kind == "klipper-steps" else None, plain)
-
-
 @dataclass(frozen=True)
 class Job:
     """A request: a print, the machine it is for, and how it is compensated."""
@@ -129,9 +65,11 @@ class Job:
     source: Source
     path: str  # as the user named it
     machine: Machine
-    options: Options = Options()
+    request: CompensateOptions = CompensateOptions()  # noqa: RUF009 (frozen)
+    bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
     restore: bool = False  # the file is a compensated one: take the original that it keeps
     jobs: int = 1  # processes that work at it
+    inverse: Settings | None = None  # the settings of the inverse, where a comparison has chosen them
 
     def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Lines:
         """Return the compensated file, stamped in head and tail.
@@ -143,16 +81,16 @@ class Job:
         """
         return Lines(self, progress, folder)
 
-    def write_steps(self, target: Path | None, steps: StepOutput, progress: Progress = lambda share: None) -> Result:
+    def write_steps(self, target: Path | None, progress: Progress = lambda share: None) -> Result:
         """Write step timings into an archive (None: nowhere), which is replaced at the end or not at all."""
         started = time.perf_counter()
         reach = Reach(self.machine.kinematics)
         with ExitStack() as stack:
             target = target or Path(stack.enter_context(TemporaryDirectory()), "steps.npz")
-            sink = self._sink(target, steps)
+            sink = self._sink(target)
             stack.callback(sink.close)
             lines = Lines(self, progress)
-            for _ in lines.of(self.outputs(reach, StepStream(sink), steps.plain), reach):
+            for _ in lines.of(self.outputs(reach, StepStream(sink)), reach):
                 pass  # steps are no text
             predicted = _forecast(lines.statistics, self.machine)
             totals = sink.finish()
@@ -171,38 +109,62 @@ class Job:
             seconds,
             lines.size,
             embedded=self.settings.writer.embed,
-            robust=self._robust,
+            robust=self._chosen[1],
             shaper=self.shaper,
             forecast=predicted,
         )
 
-    def _sink(self, target: Path, steps: StepOutput) -> StepSink | MotionSink:
-        if not steps.motion:
-            return StepSink(self.machine, steps.board, target, steps.error_s)
-        machine = {"name": self.machine.name, "sha256": self.machine.sha256}
-        about = {"ffcomp": __version__, "machine": machine, "source": Path(self.path).name}
-        return MotionSink(target, {**about, "compensated": not steps.plain})
-
-    @cached_property
-    def settings(self) -> Settings:
-        """The requested settings, or those of the machine; always robust under a bound on the error."""
-        chosen, bound = self.options.settings or settings_for(self.machine), self.options.bound
-        if bound is None:
-            return chosen
-        joined_um = MERGED_SHARE * bound.tightest_um
-        return replace(
-            chosen,
-            robust=True,  # less of what is not known: quicker at the same bound
-            writer=replace(
-                chosen.writer,
-                merge_um=min(chosen.writer.merge_um, joined_um),
-                merge_along_um=min(chosen.writer.merge_along_um, 3.0 * joined_um),
-            ),
-        )
+    def _sink(self, target: Path) -> StepSink | MotionSink:
+        kind = self.request.kind
+        if kind == "host":  # whose own settings make the steps
+            machine = {"name": self.machine.name, "sha256": self.machine.sha256}
+            about = {"ffcomp": __version__, "machine": machine, "source": Path(self.path).name}
+            return MotionSink(target, {**about, "compensated": not self.plain})
+        per_mm = self.request.extruder_steps_per_mm or self.machine.steps.extruder_steps_per_mm
+        if per_mm is None:
+            raise RequestError(
+                f"--kind {kind} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, "
+                "or extruder_steps_per_mm in [steps] of the machine file."
+            )
+        return StepSink(self.machine, Board(per_mm), target, ROW_ERROR_S if kind == "klipper-steps" else None)
 
     @property
-    def _robust(self) -> RobustChoice:
-        return self.options.robust if self.settings.robust == self.options.robust.robust else BOUNDED
+    def plain(self) -> bool:
+        """Whether step timings are those of the plan, uncompensated."""
+        return self.request.inverse == "none"
+
+    @cached_property
+    def bound(self) -> Bound | None:
+        """The bound on the error of a quicker print; None: it keeps the slicer's speed."""
+        errors_um = self.request.errors_um
+        if not errors_um:
+            return None
+        bounds = {"max_error_um": errors_um.pop(""), "of_features_um": tuple(errors_um.items())}
+        return Bound(**shared_with(self.request, Bound, **bounds))
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of the inverse, by the request and the machine."""
+        return self._chosen[0]
+
+    @cached_property
+    def _chosen(self) -> tuple[Settings, RobustChoice]:
+        """The settings, and why the inverse is robust or not: always under a bound, to be quicker."""
+        request, settings, bound = self.request, self.inverse, self.bound
+        robust = {"on": True, "off": False}.get(request.robust) if settings is None else settings.robust
+        if settings is None:
+            settings = replace(
+                _settings_for(pickle.dumps((self.machine, request.max_segments_per_second))),
+                slowing=SlowingSettings(tolerance_um=request.tolerance_um, strict=request.strict),
+                writer=WriterSettings(embed=request.embed),
+            )
+        if bound is not None:
+            joined_um, writer = MERGED_SHARE * bound.tightest_um, settings.writer
+            merge_um, along_um = min(writer.merge_um, joined_um), min(writer.merge_along_um, 3.0 * joined_um)
+            writer = replace(writer, merge_um=merge_um, merge_along_um=along_um)
+            return replace(settings, robust=True, writer=writer), BOUNDED
+        choice = PLAIN if self.plain and robust is None else choose_robust(self.machine, settings, robust)
+        return replace(settings, robust=choice.robust), choice
 
     @cached_property
     def model(self) -> InverseModel:
@@ -225,10 +187,10 @@ class Job:
 
     @cached_property
     def _flavor_choice(self) -> FlavorChoice:
-        choice = choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
+        choice = choose_flavor(self.request.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
         firmware = FIRMWARES[choice.flavor]
         assumed = firmware.assumed(self.machine)
-        sought = "" if self.options.bound is None else firmware.quicker_note
+        sought = "" if self.bound is None else firmware.quicker_note
         return replace(choice, reason=" ".join(each for each in (choice.reason, assumed, sought) if each))
 
     @property
@@ -238,8 +200,8 @@ class Job:
 
     @cached_property
     def _placement(self) -> Placement:
-        if self.options.offset is not None:
-            return Placement(self.options.offset, f"Offset {pair(self.options.offset)}, as requested.")
+        if self.request.offset_mm is not None:
+            return Placement(self.request.offset_mm, f"Offset {pair(self.request.offset_mm)}, as requested.")
         if self.restore:
             offset = find_offset(self._ends[0])
             return Placement(offset, f"Offset {pair(offset)}, as the file was compensated before.")
@@ -248,18 +210,18 @@ class Job:
     @property
     def shaper(self) -> OwnShaper:
         """Whether the firmware's own shaper is switched off."""
-        return own_shaper(self.options.keep_shaper, self.machine, self.flavor)
+        return own_shaper(self.request.keep_shaper, self.machine, self.flavor)
 
     @property
     def _bed(self) -> Bed | None:
-        return self.options.bed or bed_in(*self._ends[:2])
+        return self.bed or bed_in(*self._ends[:2])
 
     def _footprint(self) -> Footprint | None:
         return footprint_of(self._programs(NOWHERE))
 
-    def outputs(self, reach: Reach, steps: StepStream | None = None, plain: bool = False) -> Iterator[Iterable[Output]]:
-        """Return the output of each chunk, part by part; plain: uncompensated steps."""
-        split, context = self._split(reach, plain)
+    def outputs(self, reach: Reach, steps: StepStream | None = None) -> Iterator[Iterable[Output]]:
+        """Return the output of each chunk, part by part."""
+        split, context = self._split(reach)
         if steps is not None:
             return (_stepped(chunk, context, steps) for chunk in split)
         if self.jobs == 1:
@@ -269,20 +231,18 @@ class Job:
         pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
         return ((output,) for output in pool(delayed(_work)(chunk, context) for chunk in split))
 
-    def _split(self, reach: Reach, plain: bool = False) -> tuple[Iterator[Chunk], Context]:
-        """Split the print into chunks; plain: to be written uncompensated."""
+    def _split(self, reach: Reach) -> tuple[Iterator[Chunk], Context]:
+        """Split the print into chunks."""
         parts = self._parts(reach)
         first = list(islice(parts, 1))
         if not first:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
         while not len(first[-1].moves) and (more := next(parts, None)) is not None:
             first.append(more)
-        share = self._share(first[-1]) if self.options.predict else 0.0
-        bound = self.options.bound
-        if bound is not None:
-            bound = with_slicer_settings(bound, *self._ends[:2])
-        context = Context(self.model, self.flavor, self.offset, share, plain, bound)
-        return self._chunks(chain(first, parts), plain), context
+        share = self._share(first[-1]) if self.request.predict else 0.0
+        bound = None if self.bound is None else with_slicer_settings(self.bound, *self._ends[:2])
+        context = Context(self.model, self.flavor, self.offset, share, self.plain, bound)
+        return self._chunks(chain(first, parts)), context
 
     def _share(self, first: Program) -> float:
         """Return how much of the print is simulated while it is compensated; above 1: all of it."""
@@ -307,10 +267,10 @@ class Job:
             blocks, self.path, self.machine, self.flavor, offset_mm=offset, filament_change_s=change_s
         )
 
-    def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:
+    def _chunks(self, parts: Iterable[Program]) -> Iterator[Chunk]:
         s = self.settings
-        longest_s = inf if plain else chunks.LONGEST_S  # plain steps are written from rest to rest
-        ease = self._eased if s.slowing.slow and not plain else None
+        longest_s = inf if self.plain else chunks.LONGEST_S  # plain steps are written from rest to rest
+        ease = self._eased if s.slowing.slow and not self.plain else None
         plan_of = partial(firmware_plan, machine=self.machine)
         return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, longest_s, ease))
 
@@ -323,6 +283,12 @@ class Job:
         sentence = f"The machine file lists effects that are not compensated: {names}." if names else ""
         moved = self._placement.reason if self._placement.notable else ""
         return Statistics(warnings=tuple(filter(None, (moved, self._flavor_choice.warning, sentence))))
+
+
+@lru_cache
+def _settings_for(pickled: bytes) -> Settings:
+    """Return `settings_for`, which takes 0.1 s, of a machine and its segment rate; once for many files."""
+    return settings_for(*pickle.loads(pickled))
 
 
 class Lines:

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, cast
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
+from ffcomp.compensation.request import CompensateOptions
 from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.next_experiment import Separation, separations
@@ -241,7 +241,7 @@ def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:
 def _compensated(sample: Path, machine: Machine) -> Path:
     target = sample.with_suffix(".out.gcode")
     target.unlink(missing_ok=True)
-    compensate_file(sample, sample.name, machine, Options(predict=False), target)
+    compensate_file(sample, sample.name, machine, CompensateOptions(predict=False, robust="off"), target)
     return target
 
 

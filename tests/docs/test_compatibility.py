@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import ffcomp
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from gcode.embedded import joined, original
 from models.file import load_machine
+from tests.support.compensated import plainly
 from tests.support.docs_runner import ROOT
 
 PAGE = ROOT / "docs" / "COMPATIBILITY.md"
@@ -51,7 +52,12 @@ class Done:
 
     def __init__(self, text: str, flavor: str = "klipper", **options: Any) -> None:
         data = (STARTS[flavor] + text).encode()
-        job = Job(data, "print.gcode", load_machine(MACHINE), Options(predict=False, flavor=flavor, **options))
+        job = Job(
+            data,
+            "print.gcode",
+            load_machine(MACHINE),
+            plainly(predict=False, flavor=flavor, **options),
+        )
         stream = job.lines()
         self.data = b"".join(joined(stream))
         self.lines = self.data.splitlines()

@@ -17,11 +17,11 @@ import pytest
 
 from ffcomp.compensation.batch import compensate_files, workers
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
 from ffcomp.compensation.result import Failure, FileResult
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import Result, ffcomp
+from tests.support.compensated import plainly
 
 ROOT = Path(__file__).parents[2]
 HEAD = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n"
@@ -60,7 +60,7 @@ def prints(tmp_path: Path) -> list[Path]:
 def alone(machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """What a single process makes of each."""
     paths = written(tmp_path_factory.mktemp("alone"))
-    done = in_order(compensate_files(paths, machine, Options(predict=False)))
+    done = in_order(compensate_files(paths, machine, plainly(predict=False)))
     assert [outcome.failure for outcome in done] == [None] * 3
     return [path.read_bytes() for path in paths]
 
@@ -124,7 +124,7 @@ def poisoned(prints: list[Path], machine: Machine, **where: Any) -> list[FileRes
     files = [prints[0], poison, fault, *prints[1:]]
     for file in (poison, fault):
         file.write_bytes(a_print(6))
-    outcomes = in_order(compensate_files(files, machine, Options(predict=False), **where))
+    outcomes = in_order(compensate_files(files, machine, plainly(predict=False), **where))
     assert poison.read_bytes() == fault.read_bytes() == a_print(6)
     assert names(poison.parent) - {"far"} == {file.name for file in files}
     return outcomes
@@ -168,7 +168,7 @@ def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, 
     assert [(folder / path.name).read_bytes() for path in prints] == alone
     (folder / "b.gcode").unlink()
     with workers(1, scheduler) as at_once:  # one file: its chunks
-        compensate_file(prints[1], "b", machine, Options(predict=False), folder / "b.gcode", jobs=at_once)
+        compensate_file(prints[1], "b", machine, plainly(predict=False), folder / "b.gcode", jobs=at_once)
     assert (folder / "b.gcode").read_bytes() == alone[1]
     check_poisoned(poisoned(prints, machine, scheduler=scheduler))
     assert [path.read_bytes() for path in prints] == alone

@@ -18,13 +18,13 @@ from pathlib import Path
 import pytest
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
+from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import failure_of
-from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import VARIABLE, ensure_cache_folder
 from gcode.embedded import already_processed, original
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import plainly
 
 resource = pytest.importorskip("resource", reason="These faults are made with a POSIX system's means.")
 
@@ -38,8 +38,8 @@ def machine() -> Machine:
 
 
 @cache
-def options() -> Options:
-    return Options(settings=settings_for(machine()), predict=False)
+def options() -> CompensateOptions:
+    return plainly(predict=False)
 
 
 def compensated(file: Path, target: Path | None = None, progress: Callable[[float], None] = lambda share: None) -> None:

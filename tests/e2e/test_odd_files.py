@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.compensation.gcode_writer import STILL_MOVE
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.errors import NothingToDo
 from gcode.container import read_bytes
 from gcode.embedded import original
@@ -18,6 +18,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from scripts.pages import dialects
 from tests.fuzz.test_random_programs import compensated, inverter
+from tests.support.compensated import plainly
 from validation.invariants import violations
 
 START = dialects.START
@@ -91,7 +92,7 @@ ODD = sorted((DATA / "odd").iterdir()) if DATA.is_dir() else []
 
 
 def job(data: bytes, path: Path) -> Job:
-    options = Options(offset=OFFSETS.get(path.name, (0.0, 0.0)), predict=False)
+    options = plainly(offset_mm=OFFSETS.get(path.name, (0.0, 0.0)), predict=False)
     return Job(data, str(path), load_machine("mp-delta-pro"), options)
 
 

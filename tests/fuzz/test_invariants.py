@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.errors import NothingToDo
 from gcode.errors import GcodeError
 from tests.e2e.test_odd_files import ODD, OFFSETS, REAL, needs_data
 from tests.fuzz.test_random_programs import compensated, inverter
+from tests.support.compensated import plainly
 from validation.invariants import told_apart, violations
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +45,10 @@ def beginning(path: Path) -> bytes:
 
 def job(data: bytes, path: Path) -> Job:
     own, offset = inverter(), OFFSETS.get(path.name, (0.0, 0.0))
-    options = Options(offset=offset, predict=False, settings=own.settings)
+    options = plainly(
+        offset_mm=offset,
+        predict=False,
+    )
     return Job(data, str(path), own.machine, options)
 
 

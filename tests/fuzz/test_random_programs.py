@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.compensation.solve import solutions
 from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import plan_program
@@ -25,6 +25,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
+from tests.support.compensated import plainly
 from validation.invariants import violations
 
 FloatArray = NDArray[np.float64]
@@ -67,7 +68,7 @@ class Case:
     def violations(self) -> list[str]:
         """Compensate it, and return what is wrong with it in sentences."""
         own = _model(self.machine)
-        options = Options(predict=False, settings=own.settings, flavor=self.flavor, offset=(0.0, 0.0))
+        options = plainly(predict=False, flavor=self.flavor, offset_mm=(0.0, 0.0))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("ffcomp.compensation.chunks.LONGEST_S", self.longest_s)
             stream = Job(self.data, "print.gcode", own.machine, options).lines()
@@ -312,7 +313,14 @@ def _inverter(machine: Machine) -> InverseModel:
 
 def compensated(data: bytes, own: InverseModel) -> bytes:
     """Through the main job."""
-    job = Job(data, "print.gcode", own.machine, Options(predict=False, settings=own.settings))
+    job = Job(
+        data,
+        "print.gcode",
+        own.machine,
+        plainly(
+            predict=False,
+        ),
+    )
     return b"".join(job.lines())
 
 

@@ -9,24 +9,32 @@ import json
 import random
 import subprocess
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensation.job import StepOutput
+from ffcomp.compensation.job import Job
 from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
+from models.machine import Machine
 from tests.support.compensated import job
 from tests.support.klipper_host import E_STEPS_PER_MM, FOLDER, Place, Played, Steps, play, reader
 from validation import kalico
 
 pytestmark = pytest.mark.kalico
 
-BOARD = Board(extruder_steps_per_mm=E_STEPS_PER_MM, clock_hz=50e6)
+
+def host_job(data: bytes, machine: Machine, plain: bool = False, kind: str = "host") -> Job:
+    inverse = "none" if plain else "fast"
+    chosen = {"kind": kind, "inverse": inverse, "extruder_steps_per_mm": E_STEPS_PER_MM}
+    return job(data, machine, flavor="klipper", predict=False, **chosen)
+
+
 SAME_S = 1e-6
 HOST_PIECES = Path(__file__).parents[1] / "support" / "host_pieces.py"
 LIMITS = [300.0, 3000.0, 5.0, 0.5]  # of the configuration
@@ -63,12 +71,13 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Prints:
     folder, machine = tmp_path_factory.mktemp("host"), load_machine("mp-delta-pro")
     begin, steps = {}, {}
     for name, plain in (("compensated", False), ("plain", True)):
-        work = job(two_objects(), machine, flavor="klipper", predict=False)
         with pytest.MonkeyPatch.context() as patch:
             for name_of in ("LEAST_KNOTS", "MOST_KNOTS"):  # short: pauses fall within a path, too
                 patch.setattr(f"ffcomp.steps.motion.{name_of}", 128)
-            work.write_steps(folder / f"{name}.ffm", StepOutput(BOARD, None, plain, motion=True))
-        work.write_steps(folder / f"{name}.npz", StepOutput(BOARD, None, plain))
+            host_job(two_objects(), machine, plain).write_steps(folder / f"{name}.ffm")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ffcomp.compensation.job.Board", partial(Board, clock_hz=50e6))
+            host_job(two_objects(), machine, plain, kind="steps").write_steps(folder / f"{name}.npz")
         steps[name] = read_steps(folder / f"{name}.npz")
         begin[name] = begin_of(folder / f"{name}.ffm")
     return Prints(folder, begin, steps)
@@ -179,9 +188,8 @@ def scaled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Prints, float, flo
     data = head + body[: len(body) // 2].rsplit(b"\n", 1)[0] + b"\nM221 S110\nM220 S80\n"
     data += body[len(body) // 2 :].split(b"\n", 1)[1]
     folder, machine = tmp_path_factory.mktemp("scaled"), load_machine("mp-delta-pro")
-    work = job(data, machine, flavor="klipper", predict=False)
     path = folder / "compensated.ffm"
-    work.write_steps(path, StepOutput(BOARD, None, False, motion=True))
+    host_job(data, machine).write_steps(path)
     stream, header = reader().open_motion(path)
     stream.close()
     filament = float(read_program(data, flavor="klipper").moves.end[-1, 3])
@@ -224,8 +232,8 @@ def test_what_the_printer_does_not_allow_is_refused(
 def test_homing_and_heating_are_lines_of_the_file(prints: Prints) -> None:
     """The host homes, waits for the heater, goes to where the motion begins, and plays it."""
     head = b"G28\nM104 S200\nM109 S200\n"
-    work = job(head + two_objects(1), load_machine("mp-delta-pro"), flavor="klipper", predict=False)
-    work.write_steps(prints.folder / "homes.ffm", StepOutput(BOARD, None, plain=True, motion=True))
+    work = host_job(head + two_objects(1), load_machine("mp-delta-pro"), plain=True)
+    work.write_steps(prints.folder / "homes.ffm")
     played = play(prints.folder, "FFCOMP_PRINT FILE=homes.ffm", (0.0, 0.0, 10.0))
     assert played.result["state"] == "complete", played.result
     assert played.result["position"][:3] == pytest.approx([10.0, -5.0, 0.2], abs=1e-9)
@@ -248,8 +256,7 @@ def test_no_height_is_made_up_after_a_macro(prints: Prints) -> None:
     data = b"G90\nM83\nG1 X0 Y0 Z1 F6000\n" + square + b"LIFT\nG1 X0 Y0 F6000\n" + square * 3
     machine = load_machine("mp-delta-pro")
     for plain in (True, False):
-        work = job(data, machine, flavor="klipper", predict=False)
-        work.write_steps(prints.folder / "lifts.ffm", StepOutput(BOARD, None, plain, motion=True))
+        host_job(data, machine, plain).write_steps(prints.folder / "lifts.ffm")
         played = play(prints.folder, "FFCOMP_PRINT FILE=lifts.ffm", (0.0, 0.0, 1.0), more=MACRO)
         assert played.result["state"] == "complete", played.result
         assert played.result["position"][:3] == pytest.approx([0.0, 0.0, 8.0], abs=1e-3)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.firmware.marlin_planner import cut_moves, planner_of
 from ffcomp.firmware.program import plan_program
-from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
 from models.file import load_machine
+from tests.support.compensated import plainly
 from tests.support.marlin_played import judge, read
 from validation.invariants import told_apart, violations
 
@@ -36,7 +34,7 @@ def test_the_stated_time_is_that_of_the_queue(name: str) -> None:
         lines += ["G1 E-0.8 F2100", "G1 Z0.7 F600", f"G1 X{x} Y{y} F7200", "G1 Z0.3 F600", "G1 E0.8 F2100"]
         lines += [f"G1 X{x + dx} Y{y + dy} E0.5 F3000" for dx, dy in ((12, 0), (12, 12), (0, 12), (0, 0))]
     machine = load_machine(name)
-    options = Options.of(CompensateOptions(flavor="marlin", predict=False), machine)
+    options = CompensateOptions(flavor="marlin", predict=False)
     written = Job("\n".join(lines).encode(), "squares", machine, options).lines()
     data = b"".join(written)
     stated = written.value.statistics.print_time_s
@@ -51,7 +49,7 @@ def test_slow_lifts_are_late_rather_than_slower(robust: bool) -> None:
         lines += ["G1 E-1 F1800", "G1 Z.6 F600", f"G0 X{x} Y60 F9000", "G1 Z.2 F600", "G1 E1 F1800"]
         lines += [f"G1 X{x + 10} Y65 E.4 F3000", f"G1 X{x} Y70 E.4"]
     machine = load_machine("ender-3")
-    options = Options(predict=False, flavor="marlin", settings=replace(settings_for(machine), robust=robust))
+    options = plainly(predict=False, flavor="marlin", robust="on" if robust else "off")
     stream = Job("\n".join(lines).encode(), "lifts", machine, options).lines()
     for _ in stream:
         pass
@@ -90,9 +88,7 @@ def test_no_segment_is_dropped_before_a_line_of_the_file(name: str, middle: int,
             "G1 Z0.3 F600",
         ]
     machine, data = load_machine(name), "\n".join(lines).encode()
-    written = Job(
-        data, "lines", machine, Options.of(CompensateOptions(flavor="marlin", predict=False), machine)
-    ).lines()
+    written = Job(data, "lines", machine, CompensateOptions(flavor="marlin", predict=False)).lines()
     text = b"".join(written)
     assert violations(data, text, machine, written.value.placement.offset, flavor="marlin") == []
     program = cut_moves(read(text, machine), machine)

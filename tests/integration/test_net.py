@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation import solve
-from ffcomp.compensation.job import Job, Options, StepOutput
+from ffcomp.compensation.job import Job
 from ffcomp.compensation.result import Result
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.time_scaling import PlannedSection
-from ffcomp.steps.sink import Board
 from gcode.embedded import original
 from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import plainly
 from validation.invariants import violations
 
 FIRST = b"G1 X120 Y100 E1 F3000\nG1 X120 Y120 E1\n"
@@ -78,7 +78,7 @@ def machine() -> Machine:
 
 @pytest.fixture(scope="module")
 def whole(machine: Machine) -> tuple[bytes, Result]:
-    lines = Job(DATA, "print.gcode", machine, Options(flavor="klipper", offset=OFFSET, predict=False)).lines()
+    lines = Job(DATA, "print.gcode", machine, plainly(flavor="klipper", offset_mm=OFFSET, predict=False)).lines()
     return b"".join(lines), lines.value
 
 
@@ -92,7 +92,7 @@ def test_what_fails_its_check_goes_out_as_it_was_sliced(
     right, plain = whole
     assert SECOND not in right and not plain.statistics.unsafe
     corrupted(monkeypatch, corrupt)
-    options = Options(flavor="klipper", offset=OFFSET, predict=corrupt is zigzags)
+    options = plainly(flavor="klipper", offset_mm=OFFSET, predict=corrupt is zigzags)
     stream = Job(DATA, "print.gcode", machine, options).lines()
     out = b"".join(stream)
     assert b"\nG1 X110 Y125 E1 ; ffcomp\n" in out and b"\nG1 X110 Y105 E1 ; ffcomp\n" in out
@@ -116,7 +116,7 @@ def test_marlin_takes_up_the_filament_where_the_sliced_lines_left_it(monkeypatch
     machine = load_machine("ender-3")
     data = DATA.replace(b"M83\n", b"M83\nM221 S90\n")
     corrupted(monkeypatch, zigzags)
-    stream = Job(data, "print.gcode", machine, Options(flavor="marlin", predict=False)).lines()
+    stream = Job(data, "print.gcode", machine, plainly(flavor="marlin", predict=False)).lines()
     out = b"".join(stream)
     assert len(stream.value.statistics.unsafe) == 1 and SECOND in out and original(out) == data
     assert violations(data, out, machine, flavor="marlin") == []
@@ -125,11 +125,10 @@ def test_marlin_takes_up_the_filament_where_the_sliced_lines_left_it(monkeypatch
 def test_steps_follow_the_plan_where_a_command_fails_its_check(
     machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    output = StepOutput(Board(400.0), None, motion=True)
-    job = Job(DATA, "print.gcode", machine, Options(flavor="klipper", predict=False))
-    before = job.write_steps(tmp_path / "right.ffm", output).statistics
+    job = Job(DATA, "print.gcode", machine, plainly(kind="host", flavor="klipper", predict=False))
+    before = job.write_steps(tmp_path / "right.ffm").statistics
     corrupted(monkeypatch, zigzags)
-    after = job.write_steps(tmp_path / "print.ffm", output).statistics
+    after = job.write_steps(tmp_path / "print.ffm").statistics
     assert len(after.unsafe) == 1 and after.print_time_s == pytest.approx(before.print_time_s, abs=0.02)
 
 
@@ -142,4 +141,4 @@ def test_a_motion_that_is_cut_is_refused(machine: Machine, monkeypatch: pytest.M
     data = begin + b"".join(b"G1 X%.3f Y%.3f E.1\n" % (x, y) for x, y in circle)
     corrupted(monkeypatch, lambda vertices: zigzags(vertices[len(vertices) // 4 :]))
     with pytest.raises(LimitsError, match="failed its check: it leaves its path"):
-        b"".join(Job(data, "print.gcode", machine, Options(flavor="klipper", predict=False)).lines())
+        b"".join(Job(data, "print.gcode", machine, plainly(flavor="klipper", predict=False)).lines())

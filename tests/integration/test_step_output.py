@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from ffcomp.compensation.job import StepOutput
+from ffcomp.compensation.job import Job
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.step_output import BEFORE_S
 from ffcomp.firmware.program import plan_program
@@ -28,8 +29,13 @@ def machine() -> Machine:
     return load_machine("mp-delta-pro")
 
 
+def steps_job(data: bytes, machine: Machine, plain: bool, error_s: float | None, **chosen: Any) -> Job:
+    kind, inverse = "klipper-steps" if error_s else "steps", "none" if plain else "fast"
+    return job(data, machine, kind=kind, inverse=inverse, extruder_steps_per_mm=400.0, **chosen)
+
+
 def written(machine: Machine, path: Path, plain: bool = False, error_s: float | None = None) -> Result:
-    return job(squares(1), machine).write_steps(path, StepOutput(BOARD, error_s, plain))
+    return steps_job(squares(1), machine, plain, error_s).write_steps(path)
 
 
 def level_at(steps: object, t: np.ndarray) -> np.ndarray:
@@ -114,8 +120,7 @@ G4 S0.8
 def test_every_wait_is_in_the_steps(machine: Machine, tmp_path: Path, plain: bool, error_s: float | None) -> None:
     """Before the first motion, where a chunk is cut, and after the last motion."""
     target = tmp_path / "steps.npz"
-    output = StepOutput(BOARD, error_s, plain)
-    result = job(WAITING, machine, flavor="marlin", predict=False).write_steps(target, output)
+    result = steps_job(WAITING, machine, plain, error_s, flavor="marlin", predict=False).write_steps(target)
     times, lines = read_events(target)
     at = {line: t - BEFORE_S for line, t in zip(lines, times.tolist(), strict=True)}
     moves_s = result.statistics.print_time_s - 12.8

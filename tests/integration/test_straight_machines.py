@@ -13,16 +13,15 @@ from scipy.signal import cont2discrete, lfilter
 
 from ffcomp.comparison import methods as ours
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options, StepOutput
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import Motion, motion_of, path_corners, planned_motion
-from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import plainly
 from tests.support.configs import STEPS
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_moves
@@ -171,7 +170,7 @@ def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
     assert asked.height[1, :, 1] == pytest.approx([2.0, 0.0, 0.0])
     source = tmp_path / "fast.gcode"
     source.write_bytes(b"G1 X0 Y0 Z1 F6000\nG1 X60 Y60 F12000\nG1 X0 Y60\nG1 X60 Y0\n")
-    done = compensate_file(source, source.name, machine, Options(), tmp_path / "out.gcode")
+    done = compensate_file(source, source.name, machine, plainly(), tmp_path / "out.gcode")
     assert any("velocity" in warning for warning in done.warnings)
 
 
@@ -188,8 +187,8 @@ def test_steps_of_a_corexy_are_those_of_its_two_motors(tmp_path: Path) -> None:
     machine = load_machine(made(tmp_path, machine_text()))
     source, out = tmp_path / "square.gcode", tmp_path / "steps.npz"
     source.write_bytes(b"G1 X0 Y0 Z1 F6000\nG1 X30 Y0 E1 F3000\nG1 X30 Y20\nG1 X0 Y0\n")
-    plain = StepOutput(Board(extruder_steps_per_mm=415.0), None, plain=True)
-    compensate_file(source, source.name, machine, Options(steps=plain), out)
+    plain = plainly(kind="steps", inverse="none", extruder_steps_per_mm=415.0)
+    compensate_file(source, source.name, machine, plain, out)
     with np.load(out) as found:
         motors = {m: (found[f"{m}_direction"], float(found[f"{m}_start_mm"])) for m in "abc"}
     begin, corner = (0.0, 0.0), (30.0, 20.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.firmware.program import known_to_the_firmware
 from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from ffcomp.metrics import contour_error
@@ -18,6 +18,7 @@ from gcode.embedded import OURS, original
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import plainly
 from validation.invariants import told_apart, violations
 
 SQUARE = "G1 X20 Y0 E1\nG1 X20 Y20 E1\nG1 X0 Y20 E1\nG1 X0 Y0 E1\n"
@@ -25,7 +26,12 @@ HEAD = "; gcode_flavor = klipper\nG90\nM83\nG28\nG1 X0 Y0 F6000\nG1 Z5\n"
 
 
 def compensated(text: str, machine: Machine, **options: object) -> str:
-    source = Job(text.encode(), "print.gcode", machine, Options(predict=False, flavor="klipper", **options))
+    source = Job(
+        text.encode(),
+        "print.gcode",
+        machine,
+        plainly(predict=False, flavor="klipper", **options),
+    )
     out = b"".join(source.lines())
     assert violations(text.encode(), out, machine, flavor="klipper") == []
     assert original(out) == text.encode()
@@ -100,7 +106,7 @@ def test_what_follows_an_unknown_place_begins_where_the_nozzle_is(
     data = place((ELSEWHERE + more).format(unknown=unknown)).encode()
     for longest_s in (300.0, 0.3):
         monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", longest_s)
-        stream = Job(data, "print.gcode", machine, Options(predict=False, flavor=flavor)).lines()
+        stream = Job(data, "print.gcode", machine, plainly(predict=False, flavor=flavor)).lines()
         out = b"".join(stream)
         assert violations(data, out, machine, flavor=flavor) == []
         assert farthest_mm(data, out, machine, flavor) < 0.035
@@ -117,7 +123,7 @@ def test_ringing_settles_while_filament_moves_alone(name: str, flavor: str) -> N
     machine, waits_s = load_machine(name), []
     for feed in (1800, 600, 120):  # 27, 80 and 400 ms
         data = shifted(ELSEWHERE.format(unknown="T1")).replace("G1 E.8 F1800", f"G1 E.8 F{feed}").encode()
-        stream = Job(data, "print.gcode", machine, Options(predict=False, flavor=flavor)).lines()
+        stream = Job(data, "print.gcode", machine, plainly(predict=False, flavor=flavor)).lines()
         b"".join(stream)
         waits_s.append(stream.value.statistics.settling_s)
     assert 0.1 < waits_s[0] < 0.3  # two of them
@@ -180,7 +186,7 @@ def machine_with(*commands: str, flavor: str = "klipper") -> Machine:
 
 def lines_of(machine: Machine, text: str = PRINT, **options: object) -> tuple[list[str], list[str]]:
     """The file's lines, ours without their mark, and all warnings."""
-    job = Job(text.encode(), "print.gcode", machine, Options(predict=False, **options)).lines()
+    job = Job(text.encode(), "print.gcode", machine, plainly(predict=False, **options)).lines()
     out = b"".join(job)
     assert original(out) == text.encode()
     return out.decode().replace(OURS.decode(), "").splitlines(), [*job.value.shaper.warnings, *job.value.warnings]

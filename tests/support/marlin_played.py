@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.firmware.marlin_planner import planner_of, settings_row
 from ffcomp.firmware.marlin_queue import STEPS, Blocks, phases_of
@@ -130,9 +130,7 @@ def judge(case: str, seconds: float) -> Iterator[tuple[str, Score, Track]]:
     data = beginning((SAMPLES / f"{sliced}.gcode").read_bytes(), machine, offset, seconds)
     original = plan_program(read(data, machine, offset), machine)
     path = path_corners(original.trajectory)
-    lines = Job(
-        data, sliced, machine, Options.of(CompensateOptions(flavor="marlin", offset_mm=offset), machine)
-    ).lines()
+    lines = Job(data, sliced, machine, CompensateOptions(flavor="marlin", offset_mm=offset)).lines()
     written = read(b"".join(lines), machine)
     predicted = lines.value.statistics.predicted
     tracks = {} if predicted is None else predicted.forecast(machine).tracks

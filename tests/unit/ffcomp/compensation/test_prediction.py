@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Options
 from ffcomp.compensation.prediction import Prediction
 from ffcomp.compensation.result import FileSize
 from ffcomp.simulation.preview import preview
 from models.file import load_machine
+from tests.support.compensated import plainly
 from tests.support.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")
@@ -22,7 +22,7 @@ MACHINE = load_machine("mp-delta-pro")
 def test_it_is_near_what_the_whole_file_does_when_it_is_read_again(layers: int, tmp_path: Path) -> None:
     """Rests are not in it."""
     target = tmp_path / "out.gcode"
-    done = compensate_file(squares(layers), "squares.gcode", MACHINE, Options(flavor="klipper"), target)
+    done = compensate_file(squares(layers), "squares.gcode", MACHINE, plainly(flavor="klipper"), target)
     assert done.result.size == FileSize(len(squares(layers)), target.stat().st_size)
     found = done.result.forecast
     again = preview(target.read_bytes(), "out.gcode", MACHINE, flavor="klipper").forecast(MACHINE)
@@ -41,7 +41,7 @@ def test_a_sliced_motion_begins_with_the_ringing_of_the_one_before(tmp_path: Pat
     for rest in (10, 1000):
         square = "".join(f"G1 X{x} Y{y} E.3 F12000\nG4 P{rest}\n" for x, y in corners)
         data = ("G28\nG90\nM83\nG1 X100 Y100 Z5 F6000\n" + 3 * square).encode()
-        done = compensate_file(data, "p.gcode", machine, Options(offset=(0.0, 0.0), flavor="klipper"), target)
+        done = compensate_file(data, "p.gcode", machine, plainly(offset_mm=(0.0, 0.0), flavor="klipper"), target)
         found.append(done.result.forecast.tracks["uncompensated"].contour_rms_um)
         if rest == 10:
             again = preview(target.read_bytes(), "out.gcode", machine, flavor="klipper").forecast(machine)
@@ -54,7 +54,7 @@ def test_a_certain_file_is_expected_to_do_what_is_predicted(name: str, tmp_path:
     """Of the segments as they are written: Marlin's whole steps are most of what is left of a gentle print."""
     data = b"G28\nG90\nM83\nG1 X100 Y100 Z5 F6000\nG1 X105 Y100 E.3 F1800\nG1 X105 Y103 E.2\n"
     certain = replace(load_machine(name), uncertainty={})
-    found = compensate_file(data, "p.gcode", certain, Options(offset=(0.0, 0.0)), tmp_path / "out.gcode")
+    found = compensate_file(data, "p.gcode", certain, plainly(offset_mm=(0.0, 0.0)), tmp_path / "out.gcode")
     forecast = found.result.forecast
     assert forecast.expected is not None and forecast.expected.printers == 0
     assert forecast.expected.compensated_um == pytest.approx(forecast.tracks["compensated"].contour_rms_um, rel=0.1)
@@ -65,7 +65,7 @@ def test_marlin_rounds_the_sliced_line_too_before_its_shaper(tmp_path: Path) -> 
     data = b"G28\nG90\nM83\nM204 S100\nG1 X100 Y100.005 Z5 F6000\nG1 X150 Y100.005 E2 F1800\n"
     certain = replace(load_machine("ender-3"), uncertainty={})
     for flavor, um in (("marlin", 5.0), ("klipper", 0.0)):
-        options = Options(offset=(0.0, 0.0), flavor=flavor)
+        options = plainly(offset_mm=(0.0, 0.0), flavor=flavor)
         found = compensate_file(data, "p.gcode", certain, options, tmp_path / "out.gcode").result.forecast
         assert found.expected is not None
         assert found.tracks["uncompensated"].contour_rms_um == pytest.approx(um, abs=0.2)
@@ -81,7 +81,7 @@ def test_a_prediction_that_fails_is_said_and_fails_no_print(tmp_path: Path, monk
     path = tmp_path / "print.gcode"
     path.write_bytes(squares())
     monkeypatch.setattr(Prediction, "_add", fails)
-    done = compensate_file(path, "print.gcode", MACHINE, Options(flavor="klipper"), path)
+    done = compensate_file(path, "print.gcode", MACHINE, plainly(flavor="klipper"), path)
     assert b"; Processed by ffcomp" in path.read_bytes() and b"; ffcomp forecast=" not in path.read_bytes()
     assert dict(done.result.predicted) == {} and done.to_dict()["verdict"] == ""
     assert "could not be predicted (ValueError: A reference path" in done.result.warnings[0]

@@ -12,7 +12,7 @@ from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, ROBUST, best_fixed, inversion
 from ffcomp.comparison.sampling import Print, Sampling
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
     PAYING_SD,
@@ -30,6 +30,7 @@ from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, with_values
+from tests.support.compensated import plainly
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
 
@@ -190,7 +191,7 @@ def test_robust_inversion_costs_no_print_time_on_short_hard_strokes() -> None:
     machine = load_machine("flsun-t1")
     longer_s = []
     for robust in (False, True):
-        options = Options(predict=False, settings=replace(settings_for(machine), robust=robust))
+        options = plainly(predict=False, robust="on" if robust else "off")
         stream = Job("\n".join(lines).encode(), "strokes.gcode", machine, options).lines()
         b"".join(stream)
         found = stream.value.statistics
