@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import uvicorn
 
     from ffcomp.serve.guard import Guard
-    from ffcomp.serve.settings import Settings
+    from ffcomp.serve.settings import ServeSettings
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ def serve(request: ServeRequest) -> None:
     """
     for package in ("starlette", "uvicorn"):
         require(package)
-    from ffcomp.serve.settings import MEGABYTE, Settings, is_local, kept_token
+    from ffcomp.serve.settings import MEGABYTE, ServeSettings, is_local, kept_token
 
     folder = request.folder or _data_folder()
-    settings = Settings(
+    settings = ServeSettings(
         folder=folder,
         host=request.host,
         port=request.port,
@@ -99,7 +99,7 @@ def _data_folder() -> Path:
     return Path(platformdirs.user_data_dir("ffcomp")) / "serve"
 
 
-def _run(settings: Settings, request: ServeRequest) -> None:
+def _run(settings: ServeSettings, request: ServeRequest) -> None:
     from contextlib import suppress
     from dataclasses import replace
 
@@ -117,7 +117,7 @@ def _run(settings: Settings, request: ServeRequest) -> None:
             uvicorn.Server(_config(app, request)).run([door])
 
 
-def _listening(settings: Settings) -> socket:
+def _listening(settings: ServeSettings) -> socket:
     """Open the port before anything is promised about it."""
     import socket as sockets
 
@@ -146,7 +146,7 @@ def _config(app: Guard, request: ServeRequest) -> uvicorn.Config:
     )
 
 
-def _say(settings: Settings) -> None:
+def _say(settings: ServeSettings) -> None:
     """Print the address on stdout, warnings on stderr."""
     print(f"{settings.address}{'?token=' + settings.token if settings.token else ''}", flush=True)
     say(f"ffcomp: Work is kept in {settings.folder}. End with Ctrl-C.")

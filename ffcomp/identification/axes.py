@@ -11,7 +11,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import Datum, Response, Spectrum, closed_form, observed_response, usable
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.uncertainty import Estimate, normal
-from ffcomp.inference.fit import Settings, fit
+from ffcomp.inference.fit import FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
 from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.numerics.stages import Stage
@@ -229,7 +229,7 @@ def _sign(axis: AxisFit, modes: FloatArray) -> float:
 def _fitted(pairs: Sequence[_Crossed]) -> Exchange:
     """Fit δ and every κ, and compare what is left of the crossed responses beyond noise with the direct ones."""
     problem = _Exchanging(pairs)
-    found = fit(problem, np.zeros(len(problem.unknowns)), Settings(rounds=5))
+    found = fit(problem, np.zeros(len(problem.unknowns)), FitSettings(rounds=5))
     delta = normal(float(found.values[0]), float(np.sqrt(found.covariance[0, 0])))
     left = direct = 0.0
     for pair, error in zip(pairs, np.split(found.residual * found.sd, problem.ends[:-1]), strict=True):

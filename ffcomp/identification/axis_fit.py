@@ -13,7 +13,7 @@ from ffcomp.errors import RequestError
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
 from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
 from ffcomp.identification.uncertainty import Estimate, Joint
-from ffcomp.inference.fit import Settings, fit
+from ffcomp.inference.fit import FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.stages import Stage
@@ -23,7 +23,7 @@ from models.kinds import driven_axis
 from models.machine import Machine, value_of, with_values
 
 MASS, OFFSET, OFFSET_SHARE = "axis.mass_kg", "axis.offset_n", 0.1
-FINAL = Settings(rounds=5)
+FINAL = FitSettings(rounds=5)
 BLOCKS = 60  # of a run: residuals are alike within a block, and independent between blocks
 NOISE = 1e-6  # of a signal: less is not resolved
 LOWEST, HIGHEST = 1e-3, 1e3  # times the file's value

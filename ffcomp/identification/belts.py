@@ -22,7 +22,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE
 from ffcomp.identification.resonance_tests import BeltTest
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
-from ffcomp.inference.fit import FitResult, Settings, best_of, fit
+from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.modal import WindowedPower, single_modes
 from ffcomp.numerics.serialise import keys
@@ -41,7 +41,7 @@ LOG_STIFFNESS_SD = 0.3  # weak prior: belts of one machine
 LOG_DAMPING_SD = 0.7
 POOR = 0.6  # model error of ln S: beyond it there is no verdict
 TRIED = 3  # of the starts
-AS_IT_IS, SEARCHED, REFINED = Settings(steps=0), Settings(steps=15, gain=1e-2), Settings(rounds=10, gain=1e-4)
+AS_IT_IS, SEARCHED, REFINED = FitSettings(steps=0), FitSettings(steps=15, gain=1e-2), FitSettings(rounds=10, gain=1e-4)
 STEP = 1e-5
 
 

@@ -31,7 +31,7 @@ from scipy.signal import find_peaks
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE, Datum, Response, Spectrum
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
-from ffcomp.inference.fit import FitResult, Settings, best_of, fit
+from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
 from ffcomp.measurement.modal import independent_share
 from ffcomp.numerics.serialise import keys
@@ -41,9 +41,9 @@ START_DAMPING = 0.06
 DAMPINGS = (0.002, 0.7)
 SHARES = (0.01, 0.99)  # searched
 SMALLEST_SHARE = 0.02  # accepted
-SEARCHED = Settings(steps=8, gain=0.05)  # from each start
-REFINED = Settings(rounds=10, gain=1e-4)
-AS_IT_IS = Settings(steps=0, rounds=1)  # errors and derivatives where another fit has ended
+SEARCHED = FitSettings(steps=8, gain=0.05)  # from each start
+REFINED = FitSettings(rounds=10, gain=1e-4)
+AS_IT_IS = FitSettings(steps=0, rounds=1)  # errors and derivatives where another fit has ended
 START_SHARE = 0.8  # of the first of two modes
 STARTS, PEAKS = 6, 2  # frequencies tried for each mode: evenly over the band, and where the data stand highest
 OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor

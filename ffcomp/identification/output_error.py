@@ -21,7 +21,7 @@ from ffcomp.errors import SolverError
 from ffcomp.identification.axis_spectra import observed_response
 from ffcomp.identification.predict import predicted
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
-from ffcomp.inference.fit import FitResult, Settings, best_of, fit
+from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.serialise import keys
@@ -61,8 +61,8 @@ STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starti
 RANDOM_STARTS = 30
 STEP = 1e-5  # of differences: the unknowns are of order one
 FAR_SD = 2.0  # coarse standard deviations: beyond it a value is far off
-ROUGH = Settings(steps=30, gain=1e-1, share=1e-3)  # of a start, before it is compared with others
-FINAL = Settings(steps=100, rounds=10, exact_end=True)
+ROUGH = FitSettings(steps=30, gain=1e-1, share=1e-3)  # of a start, before it is compared with others
+FINAL = FitSettings(steps=100, rounds=10, exact_end=True)
 
 
 @dataclass(frozen=True, slots=True)

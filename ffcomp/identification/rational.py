@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.errors import SolverError
-from ffcomp.inference.fit import Settings, fit
+from ffcomp.inference.fit import FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 
 ITERATIONS = 30  # of the linear step: it either converges in ten or never
-OUTPUT_ERROR = Settings(steps=200, gain=1e-6)
+OUTPUT_ERROR = FitSettings(steps=200, gain=1e-6)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ PLACE = re.compile(r"(?P<axis>[xyzXYZ]):?\s*(?P<number>-?\d+(?:\.\d+)?)")
 DAMPING_RATIO = 0.15
 RIGHT_ANGLE = math.sqrt(2.0) - 1.0
 
-Settings = Mapping[tuple[str, str], Value]
+ReportedSettings = Mapping[tuple[str, str], Value]
 
 
 def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
@@ -86,7 +86,7 @@ def _shaper_words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
             yield from (((f"M593 {axis}", letter), value) for axis in axes)
 
 
-def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str, str]:
+def _kinematics(settings: ReportedSettings, stated: str | None, path: Path) -> tuple[str, str]:
     if ("M665", "L") in settings and ("M665", "R") in settings:
         return "delta", settings["M665", "R"].origin
     if stated is None:
@@ -100,7 +100,7 @@ def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str
 # --- Deltas
 
 
-def _delta(settings: Settings) -> dict[str, Value | None]:
+def _delta(settings: ReportedSettings) -> dict[str, Value | None]:
     return {
         **v.arm_lengths(_arms(settings)),
         "kinematics.delta_radius_mm": settings["M665", "R"],
@@ -109,7 +109,7 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
     }
 
 
-def _arms(settings: Settings) -> list[Value | None]:
+def _arms(settings: ReportedSettings) -> list[Value | None]:
     """Add the towers' trims A B C to L; a lone B is an older firmware's calibration radius."""
     rod = settings["M665", "L"]
     trims = [settings.get(("M665", letter)) for letter in "ABC"]
@@ -124,7 +124,7 @@ def _arms(settings: Settings) -> list[Value | None]:
 # --- Cartesian and CoreXY machines
 
 
-def _straight(settings: Settings, places: Mapping[str, Value]) -> dict[str, Value | None]:
+def _straight(settings: ReportedSettings, places: Mapping[str, Value]) -> dict[str, Value | None]:
     ranges: dict[str, Value | None] = {f"kinematics.{axis}_range_mm": places.get(axis) for axis in AXES}
     shaped = [_shaped_axis(settings, axis) for axis in AXES]
     return {**ranges, **{key: value for axis in shaped for key, value in axis.items()}}
@@ -147,7 +147,7 @@ def _places(text: str, name: str) -> dict[str, Value]:
     return {}
 
 
-def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
+def _shaped_axis(settings: ReportedSettings, axis: str) -> dict[str, Value]:
     """Take the shaper's frequency as a start; zero switches it off."""
     frequency = settings.get((f"M593 {axis.upper()}", "F"))
     if frequency is None or frequency.number <= 0:
@@ -157,7 +157,7 @@ def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
     return v.shaped_axis(axis, frequency, damping)
 
 
-def _own_shaper(settings: Settings, unread: bool) -> dict[str, Value]:
+def _own_shaper(settings: ReportedSettings, unread: bool) -> dict[str, Value]:
     on = {axis: settings.get((f"M593 {axis}", "F")) for axis in "XYZ"}
     shaped = {axis: frequency for axis, frequency in on.items() if frequency is not None and frequency.number > 0}
     commands = [f"M593 {axis} F{frequency.number:.10g}" for axis, frequency in shaped.items()]
@@ -167,7 +167,7 @@ def _own_shaper(settings: Settings, unread: bool) -> dict[str, Value]:
 # --- Limits and steps
 
 
-def _limits(settings: Settings) -> dict[str, Value | None]:
+def _limits(settings: ReportedSettings) -> dict[str, Value | None]:
     printing = ("M204", "P") if ("M204", "P") in settings else ("M204", "S")  # older firmwares use S
     acceleration = v.least([settings.get(key) for key in (("M201", "X"), ("M201", "Y"), printing)])
     return {
@@ -179,7 +179,7 @@ def _limits(settings: Settings) -> dict[str, Value | None]:
     }
 
 
-def _planner(settings: Settings) -> dict[str, Value | None]:
+def _planner(settings: ReportedSettings) -> dict[str, Value | None]:
     """Return what Marlin's own planner needs, in its own terms."""
 
     def four(code: str) -> Value | None:
@@ -201,7 +201,7 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
     return {f"firmware.marlin.{key}": value for key, value in planner.items()}
 
 
-def _corner(settings: Settings, acceleration: Value | None) -> Value | None:
+def _corner(settings: ReportedSettings, acceleration: Value | None) -> Value | None:
     """Return the jerk of X or Y; or, of a junction deviation J, v² = J a / (√2 − 1) at a right angle."""
     deviation = settings.get(("M205", "J"))
     if deviation is None:
@@ -213,7 +213,7 @@ def _corner(settings: Settings, acceleration: Value | None) -> Value | None:
     return v.converted(round(speed, 3), "junction deviation at a right angle", deviation, acceleration)
 
 
-def _steps(settings: Settings) -> dict[str, Value | None]:
+def _steps(settings: ReportedSettings) -> dict[str, Value | None]:
     steps, microsteps = ([settings.get((code, letter)) for letter in "XYZ"] for code in ("M92", "M350"))
     return {
         "steps.steps_per_mm": v.together(steps),

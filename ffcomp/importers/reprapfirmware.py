@@ -35,7 +35,7 @@ PER_MINUTE = "mm/min over 60"
 
 
 @dataclass
-class Settings:
+class ConfigSettings:
     """State of the firmware after the commands so far."""
 
     kept: dict[tuple[str, str], list[Value]] = field(default_factory=dict)  # (command, letter) -> its numbers
@@ -59,7 +59,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
 
     Raises PrinterConfigError where a number is none, macros run in a circle, or the kinematics are unsupported.
     """
-    settings = Settings(alone=alone)
+    settings = ConfigSettings(alone=alone)
     for command in _run(path, settings, (path.resolve(),)):
         _apply(command, settings)
     kind, origin = settings.kinematics
@@ -75,7 +75,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
 # --- The firmware's order
 
 
-def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[Command]:
+def _run(path: Path, settings: ConfigSettings, within: tuple[Path, ...]) -> Iterator[Command]:
     """Yield the commands of a file and of those it runs."""
     for command in v.commands(v.decoded(path), path.name):
         if command.conditional and command.code in {*READ, "M98", "M501"}:
@@ -90,7 +90,7 @@ def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[C
 
 
 def _macro(
-    command: Command, name: str, source: Path, settings: Settings, within: tuple[Path, ...]
+    command: Command, name: str, source: Path, settings: ConfigSettings, within: tuple[Path, ...]
 ) -> Iterator[Command]:
     """Find a macro in /sys, or in another folder of the same card, and yield its commands."""
     if settings.alone:
@@ -111,7 +111,7 @@ def _macro(
     yield from _run(file, settings, (*within, file.resolve()))
 
 
-def _apply(command: Command, settings: Settings) -> None:
+def _apply(command: Command, settings: ConfigSettings) -> None:
     if command.code in READ:
         formulas = [letter for letter, text in command.words.items() if text.startswith("{")]
         settings.notes += [f"{command.place}: the formula of {command.code} {each} was not read." for each in formulas]
@@ -134,7 +134,7 @@ def _apply(command: Command, settings: Settings) -> None:
         _set_kind(command, command.words.get("S", "0"), settings)
 
 
-def _m92(command: Command, settings: Settings) -> None:
+def _m92(command: Command, settings: ConfigSettings) -> None:
     """Set steps per mm, at the microsteps in effect or at S."""
     meant = command.number("S", above=0)
     for letter in "XYZE":
@@ -146,7 +146,7 @@ def _m92(command: Command, settings: Settings) -> None:
             settings.steps_per_mm[letter] = steps
 
 
-def _m350(command: Command, settings: Settings) -> None:
+def _m350(command: Command, settings: ConfigSettings) -> None:
     """Change microsteps: steps per mm set so far keep their meaning in mm."""
     for letter in "XYZE":
         new = command.number(letter, above=0)
@@ -159,12 +159,12 @@ def _m350(command: Command, settings: Settings) -> None:
         settings.microsteps[letter] = new
 
 
-def _microsteps(settings: Settings, letter: str) -> Value:
+def _microsteps(settings: ConfigSettings, letter: str) -> Value:
     default = Value(MICROSTEPS, "default", f"M350 {letter} is not given: the firmware's default")
     return settings.microsteps.get(letter, default)
 
 
-def _m208(command: Command, settings: Settings) -> None:
+def _m208(command: Command, settings: ConfigSettings) -> None:
     """Set ranges: `M208 X0:220`, or the lowest positions with S1 and the highest with S0."""
     end = "low" if command.words.get("S") == "1" else "high"
     for letter in "XYZ":
@@ -173,14 +173,14 @@ def _m208(command: Command, settings: Settings) -> None:
         settings.ranges.setdefault(letter, {}).update(zip(ends, numbers, strict=False))
 
 
-def _m669(command: Command, settings: Settings) -> None:
+def _m669(command: Command, settings: ConfigSettings) -> None:
     if "K" in command.words:
         _set_kind(command, command.words["K"].lower(), settings)
     if ":" in command.words.get("X", "") + command.words.get("Y", ""):
         raise v.unsupported(command.place, "this M669 gives a movement matrix")
 
 
-def _set_kind(command: Command, word: str, settings: Settings) -> None:
+def _set_kind(command: Command, word: str, settings: ConfigSettings) -> None:
     if word not in KINDS:
         raise v.unsupported(command.place, f"{command.code} selects {NAMES.get(word, word)} kinematics")
     settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
@@ -192,7 +192,7 @@ APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M669": _m669}
 # --- Values of the machine
 
 
-def _delta(settings: Settings) -> dict[str, Value | None]:
+def _delta(settings: ConfigSettings) -> dict[str, Value | None]:
     arms = settings.kept.get(("M665", "L"), [])
     if len(arms) > 3:
         raise PrinterConfigError(f"{arms[0].origin} gives {len(arms)} arms: ffcomp has deltas of three towers.")
@@ -207,7 +207,7 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
     }
 
 
-def _straight(settings: Settings) -> dict[str, Value | None]:
+def _straight(settings: ConfigSettings) -> dict[str, Value | None]:
     values = {f"kinematics.{axis}_range_mm": _range(settings, axis.upper()) for axis in AXES}
     frequency = _shaper(settings)
     if frequency is not None:  # one for both axes
@@ -217,7 +217,7 @@ def _straight(settings: Settings) -> dict[str, Value | None]:
     return values
 
 
-def _range(settings: Settings, letter: str) -> Value | None:
+def _range(settings: ConfigSettings, letter: str) -> Value | None:
     limits = settings.ranges.get(letter, {})
     if "high" not in limits:
         return None
@@ -225,13 +225,13 @@ def _range(settings: Settings, letter: str) -> Value | None:
     return v.listed([low, limits["high"]])
 
 
-def _shaper(settings: Settings) -> Value | None:
+def _shaper(settings: ConfigSettings) -> Value | None:
     frequency = settings.first("M593", "F")
     is_on = settings.shaper.get("P", "").lower() != "none"
     return frequency if frequency and frequency.number > 0 and is_on else None
 
 
-def _own_shaper(settings: Settings) -> dict[str, Value]:
+def _own_shaper(settings: ConfigSettings) -> dict[str, Value]:
     frequency = _shaper(settings)
     words = {**settings.shaper, "P": f'"{settings.shaper["P"]}"'} if "P" in settings.shaper else settings.shaper
     commands = [" ".join(["M593", *(letter + text for letter, text in words.items())])] if frequency else []
@@ -239,7 +239,7 @@ def _own_shaper(settings: Settings) -> dict[str, Value]:
     return v.own_shaper(commands, sources, settings.unread, "M593 switches none on: there is no shaper")
 
 
-def _limits(settings: Settings) -> dict[str, Value | None]:
+def _limits(settings: ConfigSettings) -> dict[str, Value | None]:
     def per_minute(code: str, letters: str) -> Value | None:
         slowest = v.least([settings.first(code, letter) for letter in letters])
         return v.changed(slowest, lambda speed: speed / 60, PER_MINUTE)
@@ -254,7 +254,7 @@ def _limits(settings: Settings) -> dict[str, Value | None]:
     }
 
 
-def _planner(settings: Settings) -> dict[str, Value | None]:
+def _planner(settings: ConfigSettings) -> dict[str, Value | None]:
     """Return what the firmware's own planner needs."""
 
     def four(code: str) -> list[Value | None]:
@@ -272,7 +272,7 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
     return {f"firmware.reprapfirmware.{key}": value for key, value in planner.items()}
 
 
-def _steps(settings: Settings) -> dict[str, Value | None]:
+def _steps(settings: ConfigSettings) -> dict[str, Value | None]:
     steps = [settings.steps_per_mm.get(letter) for letter in "XYZ"]
     microsteps = [_microsteps(settings, letter) for letter in "XYZ"]
     return {

@@ -5,7 +5,7 @@
 A step solves the quadratic model inside the bounds; one that does not lower the cost is tried again with several
 dampings at once (Levenberg 1944, Marquardt 1963). Derivatives are exact, or differences, which may be kept from step to
 step and corrected by secants (Broyden, Math. Comp. 19, 1965). A fit has converged where the best step would gain less
-than `Settings.gain` of χ²: no combination of values is then farther than √gain standard deviations from the optimum.
+than `FitSettings.gain` of χ²: no combination of values is then farther than √gain standard deviations from the optimum.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Status(Enum):
 
 
 @dataclass(frozen=True)
-class Settings:
+class FitSettings:
     """How hard a fit tries."""
 
     steps: int = 60  # in each round
@@ -147,7 +147,7 @@ class FitResult(Generic[P]):
 def fit(
     problem: P,
     start: FloatArray,
-    settings: Settings = Settings(),
+    settings: FitSettings = FitSettings(),
     *,
     errors: FloatArray | None = None,
     sd: FloatArray | None = None,
@@ -206,7 +206,7 @@ def _weighed(here: FitResult[P], errors: FloatArray) -> FitResult[P]:
 class _Run(Generic[P]):
     """One fit with what it counts."""
 
-    def __init__(self, problem: P, settings: Settings) -> None:
+    def __init__(self, problem: P, settings: FitSettings) -> None:
         self.problem, self.settings = problem, settings
         self.count, self.history = 0, list[float]()
 

@@ -24,7 +24,7 @@ from ffcomp.serve.commands import KINDS, checked, forms
 from ffcomp.serve.guard import Guard
 from ffcomp.serve.jobs import Job
 from ffcomp.serve.runner import Runner
-from ffcomp.serve.settings import MEGABYTE, Settings
+from ffcomp.serve.settings import MEGABYTE, ServeSettings
 from ffcomp.serve.uploads import Refused, Uploads, is_full, new_id
 from ffcomp.version import __version__
 
@@ -42,7 +42,7 @@ INLINE = {".svg": "image/svg+xml", ".html": "text/html; charset=utf-8"}
 class Server:
     """One server: its settings, uploads and jobs."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: ServeSettings) -> None:
         settings.folder.mkdir(parents=True, exist_ok=True)
         settings = replace(settings, folder=settings.folder.resolve())  # processes run in folders of their own
         self.settings = settings

@@ -15,7 +15,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from ffcomp.serve.settings import Settings
+from ffcomp.serve.settings import ServeSettings
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -29,7 +29,7 @@ SAFE = ("GET", "HEAD")
 REPORT = "/api/jobs/"  # below it stand pages with scripts of their own
 
 
-def known_host(host: str, settings: Settings) -> bool:
+def known_host(host: str, settings: ServeSettings) -> bool:
     """Return whether `Host` is an address or one of the server's names; see the module."""
     name = (urlsplit(f"//{host}").hostname or "").lower()
     try:
@@ -45,7 +45,7 @@ def same_origin(origin: str | None, host: str) -> bool:
     return origin is None or urlsplit(origin).netloc.lower() == host.lower()
 
 
-def refusal(method: str, headers: dict[str, str], settings: Settings) -> tuple[int, str] | None:
+def refusal(method: str, headers: dict[str, str], settings: ServeSettings) -> tuple[int, str] | None:
     """Return the status and the sentence of a request that is refused for where it comes from; None if it may pass."""
     host = headers.get("host", "")
     try:
@@ -78,12 +78,12 @@ def token_of(headers: dict[str, str]) -> str:
     return cookie.value if cookie else ""
 
 
-def matches(token: str, settings: Settings) -> bool:
+def matches(token: str, settings: ServeSettings) -> bool:
     """Compare a token in constant time."""
     return not settings.token or hmac.compare_digest(token.encode(), settings.token.encode())
 
 
-def policy(path: str, settings: Settings) -> str:
+def policy(path: str, settings: ServeSettings) -> str:
     """Return the Content-Security-Policy of a page: nothing is fetched from elsewhere, and only FRAMES frame it."""
     frames = " ".join(("'self'", *settings.frames))
     if path.startswith(REPORT):  # it has a policy itself, and is kept from this server's own interface
@@ -97,7 +97,7 @@ def policy(path: str, settings: Settings) -> str:
 class Guard:
     """The outermost layer: refuses forbidden requests, and adds the headers of every answer."""
 
-    def __init__(self, app: App, settings: Settings) -> None:
+    def __init__(self, app: App, settings: ServeSettings) -> None:
         self.app, self.settings = app, settings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

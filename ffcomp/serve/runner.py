@@ -20,7 +20,7 @@ from ffcomp.serve import messages
 from ffcomp.serve.answers import answer_of, keep_first_figure
 from ffcomp.serve.commands import PICTURE, REPORT, Step, steps, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
-from ffcomp.serve.settings import MEGABYTE, RESERVE, Settings
+from ffcomp.serve.settings import MEGABYTE, RESERVE, ServeSettings
 from ffcomp.serve.uploads import Refused
 
 COMMAND = (sys.executable, "-m", "ffcomp")
@@ -38,7 +38,7 @@ class Runner:
 
     Parameters
     ----------
-    settings : Settings
+    settings : ServeSettings
     find_machine : callable
         Gives a machine file's path for its name.
     ended : callable
@@ -47,7 +47,7 @@ class Runner:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: ServeSettings,
         find_machine: Callable[[str], Path],
         ended: Callable[[Job, Path], Job] = lambda job, place: job,
     ) -> None:

@@ -13,7 +13,7 @@ RESERVE = 300 * MEGABYTE  # free on the disk, whatever comes in: the system and 
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class ServeSettings:
     """Settings of one server."""
 
     folder: Path  # where uploads and jobs are kept

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
 
-from ffcomp.serve.settings import MEGABYTE, RESERVE, Settings
+from ffcomp.serve.settings import MEGABYTE, RESERVE, ServeSettings
 
 ID = re.compile(r"[0-9a-f]{16}")
 LONGEST_NAME = 120
@@ -61,7 +61,7 @@ def is_full(error: BaseException) -> bool:
 class Uploads:
     """The files of one server that no job has taken yet."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: ServeSettings) -> None:
         self.settings = settings
         self.folder = settings.folder / "uploads"
         self.folder.mkdir(parents=True, exist_ok=True)

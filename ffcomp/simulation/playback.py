@@ -42,7 +42,7 @@ JOBS = os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)
-class Chunk:
+class PlayedPart:
     """n evenly spaced samples of a section; the next chunk goes on where this one ends."""
 
     section: CommandSection
@@ -65,7 +65,7 @@ def play(
     to_s: float = math.inf,
     *,
     gravity: bool = True,
-) -> Iterator[Chunk]:
+) -> Iterator[PlayedPart]:
     """Execute a part of a command on the plant, section by section, each from rest.
 
     While a chunk is used, the next one is computed in a thread. Raises MachineFileError if the plant cannot even rest,
@@ -89,7 +89,7 @@ def _section(
     rows_a_sample: int,
     hold: Hold,
     gravity: bool,
-) -> Iterator[Chunk]:
+) -> Iterator[PlayedPart]:
     """Yield samples at the even times t (n,) s, without the first `lead` of them."""
     _check_rest(plant, section.actuators(t[:1])[0], gravity)
 
@@ -105,7 +105,7 @@ def _section(
         every = slice(begin * rows_a_sample, None, rows_a_sample)
         signals = Signals(part[begin:], motion.carriage_acceleration[every], motion.nozzle_acceleration[every])
         if begin < len(part):
-            yield Chunk(section, part[begin:], motion.carriage_mm[every], motion.nozzle_mm[every], signals)
+            yield PlayedPart(section, part[begin:], motion.carriage_mm[every], motion.nozzle_mm[every], signals)
 
 
 def _check_rest(plant: Machine, actuators: FloatArray, gravity: bool) -> None:

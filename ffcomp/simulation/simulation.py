@@ -16,7 +16,7 @@ from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result, clock
 from ffcomp.simulation.command import Command, CommandSection, command_peaks
 from ffcomp.simulation.command_files import read_gcode, steps_command
-from ffcomp.simulation.playback import Chunk, check_same_kinematics, levelled, play
+from ffcomp.simulation.playback import PlayedPart, check_same_kinematics, levelled, play
 from ffcomp.simulation.request import SIGNALS, SimulateRequest
 from ffcomp.steps.archive import is_step_archive, read_steps
 from ffcomp.version import __version__
@@ -60,7 +60,7 @@ class Evaluator:
         self._parts: dict[CommandSection, list[tuple[FloatArray, FloatArray]]] = {}  # times and nozzle of its chunks
         self._skip = 0  # samples until the next that is kept
 
-    def add(self, chunk: Chunk) -> None:
+    def add(self, chunk: PlayedPart) -> None:
         """Take the next chunk in."""
         if chunk.section not in self._parts:
             self._parts[chunk.section], self._skip = [], 0
@@ -104,7 +104,7 @@ class Evaluator:
 
 
 def recording_lines(
-    chunks: Iterable[Chunk], plant: Machine, comments: Mapping[str, str], kinds: Sequence[str] = SIGNALS
+    chunks: Iterable[PlayedPart], plant: Machine, comments: Mapping[str, str], kinds: Sequence[str] = SIGNALS
 ) -> Iterator[bytes]:
     """Yield the file chunk by chunk: comments, header, rows.
 
@@ -131,14 +131,14 @@ def recording_lines(
         yield (row * len(values) % tuple(values.ravel().tolist())).encode()
 
 
-def _joined(chunks: Sequence[Chunk]) -> Chunk:
+def _joined(chunks: Sequence[PlayedPart]) -> PlayedPart:
     t_s, carriage_mm, nozzle_mm, carriage, nozzle = (
         np.concatenate(parts)
         for parts in zip(
             *((c.t_s, c.carriage_mm, c.nozzle_mm, c.signals.carriage, c.signals.nozzle) for c in chunks), strict=True
         )
     )
-    return Chunk(chunks[0].section, t_s, carriage_mm, nozzle_mm, Signals(t_s, carriage, nozzle))
+    return PlayedPart(chunks[0].section, t_s, carriage_mm, nozzle_mm, Signals(t_s, carriage, nozzle))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -258,7 +258,7 @@ def simulate_command(
         raise NothingToDo(f"{path}: {part} to simulate; the motion ends at {command.sections[-1].end_s:.3f} s.")
     rows = 0
 
-    def evaluated() -> Iterator[Chunk]:
+    def evaluated() -> Iterator[PlayedPart]:
         nonlocal rows
         for chunk in play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity):
             evaluator.add(chunk)

@@ -41,7 +41,7 @@ AXES = 4
 
 
 @dataclass
-class Chunk:
+class MotionBlock:
     """Records under way."""
 
     records: list[tuple[int, int, int, int]] = field(default_factory=list)
@@ -168,7 +168,7 @@ class MotionSink:
     def __init__(self, target: str | Path, about: Mapping[str, Any]) -> None:
         self._target, self._about = Path(target), about
         self._body = tempfile.TemporaryFile(dir=self._target.resolve().parent)  # noqa: SIM115 - `close` closes it
-        self._chunk, self._extremes = Chunk(), _Extremes()
+        self._chunk, self._extremes = MotionBlock(), _Extremes()
         self._events = deque[tuple[float, bytes]]()
         self._clock: float | None = None  # s; None before the first line, rest or motion
         self._feed = b""  # a line not written yet
@@ -319,7 +319,7 @@ class MotionSink:
 
     def _flush(self) -> None:
         self._body.write(self._chunk.packed())
-        self._chunk = Chunk()
+        self._chunk = MotionBlock()
 
     def finish(self) -> dict[str, MotorTotal]:
         """Write the file. It has no steps to count: the host makes them."""

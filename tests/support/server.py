@@ -31,11 +31,11 @@ def client(folder: Path, patch: pytest.MonkeyPatch, **settings: Any) -> Iterator
     import uvicorn
 
     from ffcomp.serve.app import Server
-    from ffcomp.serve.settings import Settings
+    from ffcomp.serve.settings import ServeSettings
 
     for name, value in own_folders(folder).items():
         patch.setenv(name, value)
-    server = Server(Settings(folder=folder / "work", **settings))
+    server = Server(ServeSettings(folder=folder / "work", **settings))
     with socket.create_server(("127.0.0.1", 0), backlog=128) as door:
         running = uvicorn.Server(uvicorn.Config(server.app(), log_level="warning", ws="none"))
         thread = threading.Thread(target=running.run, args=([door],))

@@ -34,7 +34,7 @@ from scipy.signal import lfilter
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.page.lines import STEP_MM, ReadLine
 from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, normal, through
-from ffcomp.inference.fit import FitResult, Settings, fit
+from ffcomp.inference.fit import FitResult, FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown, model_error
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Experiment, Motion
@@ -82,7 +82,7 @@ LEAST_GAIN = 60.0  # of χ² by the waves, correlated roughness allowed for
 DOUBTFUL, MOST_UNEXPLAINED = 0.1, 0.4
 WORST_HELD = 0.5  # posterior over prior: a picture hardly tells a number that it leaves so wide
 LOCAL_MM = 1.5  # over which the waves of a line are averaged
-BEGIN, FINISH = Settings(steps=6, gain=1.0), Settings(steps=10, rounds=5, gain=0.3)
+BEGIN, FINISH = FitSettings(steps=6, gain=1.0), FitSettings(steps=10, rounds=5, gain=0.3)
 TOWERS = 0.007  # of the logarithm of a frequency at one place: towers that differ by 2 %, and are fitted as one
 FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
 MASS_FLOOR = 0.12  # of a carriage's: it shows along z, which lines hardly do, and is up to a fifth off

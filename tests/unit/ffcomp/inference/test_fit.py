@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.inference.fit import FitResult, Settings, Status, best_of, fit
+from ffcomp.inference.fit import FitResult, FitSettings, Status, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from models.arrays import FloatArray
 
@@ -52,7 +52,7 @@ class Line(EstimationProblem):
 @pytest.mark.parametrize(("exact", "keep"), [(True, False), (False, False), (False, True)])
 def test_a_known_minimum_is_found(exact: bool, keep: bool) -> None:
     problem = decay(exact=exact)
-    found = fit(problem, np.ones(2), Settings(keep=keep, exact_end=True, gain=1e-6))
+    found = fit(problem, np.ones(2), FitSettings(keep=keep, exact_end=True, gain=1e-6))
     assert found.status is Status.CONVERGED and found.doubt("it") == []
     np.testing.assert_allclose(found.values, [2.0, 3.0], rtol=1e-4)
     np.testing.assert_allclose(found.jacobian, 100 * decay().slopes(found.values), rtol=1e-5, atol=1e-5)
@@ -61,7 +61,7 @@ def test_a_known_minimum_is_found(exact: bool, keep: bool) -> None:
 
 
 def test_running_out_of_steps_is_not_converging() -> None:
-    found = fit(decay(), np.array([1.0, 20.0]), Settings(steps=2))
+    found = fit(decay(), np.array([1.0, 20.0]), FitSettings(steps=2))
     assert found.status is Status.RAN_OUT and len(found.history) == 2
     (sentence,) = found.doubt("the decay")
     assert "the decay ran out of steps" in sentence
@@ -87,7 +87,7 @@ def test_evidence_is_that_of_the_marginal_distribution() -> None:
     rng = np.random.default_rng(0)
     matrix, y, noise = rng.normal(size=(6, 2)), rng.normal(size=6), rng.uniform(0.5, 2.0, 6)
     unknowns = [Unknown("a", 0.5, 2.0), Unknown("b", -1.0, 0.3)]
-    found = fit(Line(matrix, [Observation(y, noise)], unknowns), np.zeros(2), Settings(exact_end=True))
+    found = fit(Line(matrix, [Observation(y, noise)], unknowns), np.zeros(2), FitSettings(exact_end=True))
     spread = matrix @ np.diag([4.0, 0.09]) @ matrix.T + np.diag(noise)
     off = y - matrix @ [0.5, -1.0]
     assert found.evidence == pytest.approx(off @ np.linalg.solve(spread, off) + np.linalg.slogdet(spread)[1])
@@ -99,7 +99,7 @@ def test_the_best_start_wins_and_a_good_one_ends_the_search() -> None:
     def fits() -> Iterator[object]:
         for b in (300.0, 1.0, 2.0):
             tried.append(b)
-            yield fit(decay(low=-1.0), np.array([1.0, b]), Settings(steps=8))
+            yield fit(decay(low=-1.0), np.array([1.0, b]), FitSettings(steps=8))
 
     best = best_of(fits(), lambda found: found.cost < 1e-3)  # type: ignore[arg-type]
     assert best["b"] == pytest.approx(3.0, abs=1e-3) and tried == [300.0, 1.0]
@@ -118,7 +118,7 @@ def recordings(seed: int, wrong: float) -> list[Observation]:
 
 
 def constant(seen: Sequence[Observation]) -> FitResult[Line]:
-    return fit(Line(np.ones((1200, 1)), seen, [Unknown("x")]), np.zeros(1), Settings(rounds=10))
+    return fit(Line(np.ones((1200, 1)), seen, [Unknown("x")]), np.zeros(1), FitSettings(rounds=10))
 
 
 def test_the_models_own_error_is_estimated_and_noise_alone_has_none() -> None:

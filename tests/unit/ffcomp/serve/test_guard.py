@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from ffcomp.serve.guard import known_host, matches, policy, refusal, token_of
-from ffcomp.serve.settings import Settings, is_local, kept_token
+from ffcomp.serve.settings import ServeSettings, is_local, kept_token
 from tests.support.server import MARK, client
 
-SETTINGS = Settings(Path("."), names=("printer.lan",))
+SETTINGS = ServeSettings(Path("."), names=("printer.lan",))
 
 
 @pytest.mark.parametrize("host", ["evil.example", "localhost.evil.example", "", "127.0.0.1.nip.io:8017", "printer"])

@@ -17,7 +17,7 @@ import pytest
 
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.runner import Runner
-from ffcomp.serve.settings import Settings
+from ffcomp.serve.settings import ServeSettings
 from ffcomp.serve.uploads import Refused, new_id
 
 STAND_IN = """
@@ -52,7 +52,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def runner(folder: Path, jobs: int = 1) -> Iterator[Runner]:
-    made = Runner(Settings(folder / "work", jobs=jobs), lambda name: Path(f"{name}.toml"))
+    made = Runner(ServeSettings(folder / "work", jobs=jobs), lambda name: Path(f"{name}.toml"))
     made.start()
     yield made
     made.stop()

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from ffcomp.serve.settings import MEGABYTE, Settings
+from ffcomp.serve.settings import MEGABYTE, ServeSettings
 from ffcomp.serve.uploads import Refused, Upload, Uploads, safe_name
 
 
@@ -48,7 +48,7 @@ def test_a_name_is_only_ever_a_name(given: str, kept: str) -> None:
 
 
 def test_a_file_comes_in_whole_and_is_found_by_its_id(tmp_path: Path) -> None:
-    uploads = Uploads(Settings(tmp_path))
+    uploads = Uploads(ServeSettings(tmp_path))
     upload = take(uploads, "../a.gcode", b"G28\n", b"G1 X1\n")
     found, path = uploads.find(upload.id)
     assert found == upload and path.read_bytes() == b"G28\nG1 X1\n"
@@ -58,11 +58,11 @@ def test_a_file_comes_in_whole_and_is_found_by_its_id(tmp_path: Path) -> None:
 @pytest.mark.parametrize("id_", ["..", "../jobs", "", "0" * 16, "0123456789abcdeg", "/etc/passwd"])
 def test_what_is_no_id_finds_nothing(id_: str, tmp_path: Path) -> None:
     with pytest.raises(Refused, match="no such file"):
-        Uploads(Settings(tmp_path)).find(id_)
+        Uploads(ServeSettings(tmp_path)).find(id_)
 
 
 def test_too_large_a_file_is_refused_while_it_comes_and_leaves_nothing(tmp_path: Path) -> None:
-    uploads, sent = Uploads(Settings(tmp_path, largest_bytes=MEGABYTE)), []
+    uploads, sent = Uploads(ServeSettings(tmp_path, largest_bytes=MEGABYTE)), []
 
     async def endless() -> AsyncIterator[bytes]:
         while True:
@@ -75,7 +75,7 @@ def test_too_large_a_file_is_refused_while_it_comes_and_leaves_nothing(tmp_path:
 
 
 def test_a_disk_that_fills_up_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    uploads = Uploads(Settings(tmp_path))
+    uploads = Uploads(ServeSettings(tmp_path))
 
     async def fails() -> AsyncIterator[bytes]:
         yield b"G28\n"
@@ -87,7 +87,7 @@ def test_a_disk_that_fills_up_is_said_and_nothing_is_left(tmp_path: Path, monkey
 
 
 def test_the_last_of_the_disk_is_never_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    uploads = Uploads(Settings(tmp_path))
+    uploads = Uploads(ServeSettings(tmp_path))
     free: Any = iter([10_000 * MEGABYTE, 10_000 * MEGABYTE, 200 * MEGABYTE])
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda path: usage._replace(free=next(free)))
@@ -97,14 +97,14 @@ def test_the_last_of_the_disk_is_never_taken(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_full_folder_takes_no_more(tmp_path: Path) -> None:
-    uploads = Uploads(Settings(tmp_path, room_bytes=100))
+    uploads = Uploads(ServeSettings(tmp_path, room_bytes=100))
     take(uploads, "a.gcode", bytes(200))
     with pytest.raises(Refused, match="folder holds"):
         take(uploads, "b.gcode", b"G28")
 
 
 def test_what_no_job_has_taken_is_removed_after_a_day(tmp_path: Path) -> None:
-    uploads = Uploads(Settings(tmp_path))
+    uploads = Uploads(ServeSettings(tmp_path))
     take(uploads, "a.gcode", b"G28")
     uploads.clean()
     assert len(held(uploads)) == 3
