@@ -41,8 +41,8 @@ _M_CODE = re.compile(r"M\d+(\.\d+)?")
 LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a command that sets limits depends on
 
 
-class ReaderSettings(TypedDict, total=False):
-    """Options of the reader."""
+class Reading(TypedDict, total=False):
+    """How a file is read."""
 
     start: tuple[float, float, float] | None
     """Position before the first line, mm; None: unknown until the file names one."""
@@ -61,9 +61,7 @@ class ReaderSettings(TypedDict, total=False):
     """Cuts moves as the firmware does , if it does; lines are unchanged."""
 
 
-def read_program(
-    data: bytes, path: str = "", *, flavor: str | None = None, **settings: Unpack[ReaderSettings]
-) -> Program:
+def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **settings: Unpack[Reading]) -> Program:
     """Read a file's bytes; GcodeError for a line that cannot be followed, with its number.
 
     path : the file's name, for errors
@@ -78,7 +76,7 @@ def read_parts(
     *,
     flavor: str,
     part_bytes: int = PART_BYTES,
-    **settings: Unpack[ReaderSettings],
+    **settings: Unpack[Reading],
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together equal `read_program`'s.
 
@@ -106,7 +104,7 @@ def read_parts(
 class _Reader:
     """The modal state, which continues from part to part, and the tables of the present part."""
 
-    def __init__(self, path: str, flavor: str, **settings: Unpack[ReaderSettings]) -> None:
+    def __init__(self, path: str, flavor: str, **settings: Unpack[Reading]) -> None:
         self.path, self.cut = path, settings.get("cut")
         self.arc_tolerance, start = settings.get("arc_tolerance_mm", ARC_TOLERANCE_MM), settings.get("start")
         self.modal = Modal(offset=settings.get("offset_mm", (0.0, 0.0)), dialect=DIALECTS[flavor])

@@ -267,6 +267,5 @@ def _predicted(printed: Print, settings: Settings) -> Forecast:
     """Predict the whole print as `compensate` does; nothing of a long one."""
     if printed.print_time_s > WHOLE_S:
         return NO_FORECAST
-    request = CompensateOptions(force=True, offset_mm=printed.offset, flavor=printed.flavor)
-    done = compensate_file(printed.data, printed.path, printed.machine, request, None, inverse=settings)
-    return done.result.forecast
+    how = CompensateOptions(force=True, offset_mm=printed.offset, flavor=printed.flavor)
+    return compensate_file(printed.data, printed.path, printed.machine, how, None, inverse=settings).result.forecast
