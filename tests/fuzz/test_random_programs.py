@@ -20,7 +20,6 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import DIALECTS
-from gcode.program import Moves
 from gcode.reader import read_program
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
@@ -351,12 +350,6 @@ def test_what_once_was_harmed_is_not(seed: int) -> None:
     A flow, then a retraction along the path (44438, 44898).
     """
     assert Case.of(seed).violations() == []
-
-
-def travelled(moves: Moves, last: int) -> tuple[float, float]:
-    """The nozzle's way, and the filament's, mm."""
-    way = (moves.end - moves.start)[:last]
-    return float(np.sqrt((way[:, :3] ** 2).sum(axis=1)).sum()), float(way[:, 3].sum())
 
 
 # -- an ideal machine --

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,14 +43,6 @@ def printer() -> Machine:
 @pytest.fixture(scope="session")
 def as_printed() -> Machine:
     return load_machine("mp-delta-pro-as-printed")
-
-
-@pytest.fixture(scope="session")
-def runs_folder() -> Path:
-    root = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[4] / "shared" / "data"))
-    if not (root / "runs").is_dir():
-        pytest.skip(f"The measured runs are not there: no folder 'runs' in {root} (set FFCOMP_DATA).")
-    return root / "runs"
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from models.effects.effect import Effect, EffectParameter, Signals
 from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import Machine, value_of
-from tests.unit.models.printer.test_printer_effects import TABLES
+from tests.support.effects import TABLES
 from validation.blind.delta import EFFECTS as EFFECTS_OF_DELTAS
 from validation.blind.kinds import KINDS
 
@@ -48,7 +48,7 @@ def _to_do() -> Iterator[str]:
     for name, effect in CATALOGUE.items():
         yield from (f"{name}.{p.name}: no probe" for p in effect.parameters if not p.probe > 0)
         if "carriages" in effect.of and effect.kind != "sensor" and name not in TABLES:
-            yield f"{name}: no table in TABLES of tests/unit/models/printer/test_printer_effects.py"
+            yield f"{name}: no table in tests/support/effects.py"
         if name not in blind and effect.kind != "sensor":
             yield f"{name}: not in the blind benchmark (validation/blind)"
         if name in effects_of_printers() and f"`{name}`" not in page:

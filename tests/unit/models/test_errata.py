@@ -14,7 +14,7 @@ from models.arrays import constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
-M_C, M_F, M_1, M_2, M_ADD = 0.179, 0.032, 0.542, 0.109, 0.2
+M_C, M_F, M_1, M_2 = 0.179, 0.032, 0.542, 0.109
 C, B, K = 5.31, 13.4, 1.21e5
 M = M_C + M_F / 2
 PAPERS_PLACES = np.array([[0.0, 0.0], [-80.0, 0.0], [40.0, -69.0], [40.0, 69.0]])

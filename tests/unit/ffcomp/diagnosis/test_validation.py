@@ -95,10 +95,6 @@ def noise(x: NDArray[np.float64]) -> None:
     x[:] = 0.05 * np.random.default_rng(0).standard_normal(len(x))
 
 
-def flat(x: NDArray[np.float64]) -> None:
-    np.clip(x, -0.4 * np.abs(x).max(), 0.4 * np.abs(x).max(), out=x)
-
-
 def late(x: NDArray[np.float64]) -> None:
     x[:] = np.concatenate([np.zeros(200), x[:-200]])
 

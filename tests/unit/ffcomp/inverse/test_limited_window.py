@@ -13,7 +13,7 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, PreviewGains, SegmentPlant
-from ffcomp.inverse.model import InverseModel, Iterate
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
@@ -23,7 +23,7 @@ from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from tests.support.exact_inverse import FreeWindow, next_window, solve_exactly
+from tests.support.exact_inverse import solve_exactly
 
 FloatArray = NDArray[np.float64]
 
@@ -50,11 +50,6 @@ def reference_of(
     trajectory = plan_moves(program.moves, planner_limits(machine), stop_before=stops, wait_before=np.zeros(len(stops)))
     (run,) = split_sections(trajectory, stops)
     return Reference(trajectory, run, settings)
-
-
-def window_of(inverter: InverseModel, reference: Reference) -> FreeWindow:
-    run = Iterate(inverter, reference)
-    return next_window(run, 0, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]))
 
 
 @pytest.mark.parametrize("exact", [True, False])

@@ -15,6 +15,7 @@ from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.printer.parameters import GRAVITY_M_PER_S2
 from models.printer.printer import PrinterMotion, simulate_printer
+from tests.support.effects import TABLES
 
 RATE_HZ = 1600
 CENTRE = np.array([[0.0, 0.0, 40.0]])
@@ -209,26 +210,6 @@ def test_the_frame_answers_as_a_mass_on_a_spring(printer: Machine, frequency: fl
 
 # --- All of them
 
-TABLES: dict[str, dict[str, Any]] = {
-    "coulomb_friction": {"force_n": [1.0, 2.0, 3.0]},
-    "stribeck_friction": {"force_n": 0.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0},
-    "guide_damping": {"added_n_s_per_m": [1.0, 2.0, 3.0]},
-    "belt_stiffness": {"relative_change": [0.1, 0.0, -0.1]},
-    "belt_hardening": {"cubic_n_per_m3": 1e12},
-    "belt_position_stiffness": {"slope_per_m": 0.3, "q_centre_mm": 350.0},
-    "belt_backlash": {"width_mm": [0.02, 0.05, 0.03]},
-    "command_delay": {"delay_s": [0.001, 0.002, 0.0013]},
-    "cogging": {"amplitude_mm": [0.01, 0.02, 0.01], "pitch_mm": [0.8, 0.8, 0.2]},
-    "torque_angle": {"amplitude_mm": 2.0},
-    "effector_mass": {"added_kg": 0.1},
-    "arm_inertia": {"share_along": 0.6},
-    "center_of_mass": {"offset_mm": [5.0, 0.0, 0.0]},
-    "extruder_mount": {"relative_stiffness_change": [-0.2, 0.1, 0.0], "relative_damping_change": [0.1, 0.2, 0.3]},
-    "joint_friction": {"force_n": 1.0},
-    "frame_mode": {"mass_kg": 20.0, "frequency_hz": 20.0, "damping_ratio": 0.03, "direction": "both"},
-    "arm_geometry": {"arm_length_mm": [0.5, 0.0, 0.0], "delta_radius_mm": 0.3},
-    "force_map": {},
-}
 MOVING = [effect for effect in CATALOGUE.values() if effect.kind != "sensor" and "carriages" in effect.of]
 
 

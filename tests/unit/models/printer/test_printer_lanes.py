@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from models.printer.kernels import integrate, vectors
 from models.printer.kernels.integrate import find_equilibrium
 from models.printer.kernels.motors import cubic_spline
 from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
+from tests.support.effects import TABLES
 
 RATE_HZ = 1600
 FIELDS = (
@@ -30,20 +30,8 @@ FIELDS = (
     "nozzle_acceleration",
     "motor_mm",
 )
-EFFECTS: dict[str, dict[str, Any]] = {
-    "coulomb_friction": {"force_n": [1.0, 2.0, 3.0]},
-    "stribeck_friction": {"force_n": 0.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0},
-    "joint_friction": {"force_n": 1.0},
-    "belt_backlash": {"width_mm": [0.02, 0.05, 0.03]},
-    "belt_hardening": {"cubic_n_per_m3": [-1e11, 0.0, 1e11]},
-    "belt_position_stiffness": {"slope_per_m": [0.3, -0.2, 0.0], "q_centre_mm": 350.0},
-    "command_delay": {"delay_s": [0.001, 0.02, 0.0013]},
-    "cogging": {"amplitude_mm": [0.01, 0.02, 0.0], "pitch_mm": [0.8, 0.8, 0.2]},
-    "torque_angle": {"amplitude_mm": 2.0},
-    "frame_mode": {"mass_kg": 5.0, "frequency_hz": 20.0, "damping_ratio": 0.03, "direction": "both"},
-    "center_of_mass": {"offset_mm": [5.0, 0.0, 0.0]},
-    "arm_geometry": {"arm_length_mm": [0.5, 0.0, 0.0], "delta_radius_mm": 0.3},
-}
+FOLDED = ("guide_damping", "belt_stiffness", "effector_mass", "arm_inertia", "extruder_mount", "force_map")
+EFFECTS = {name: table for name, table in TABLES.items() if name not in FOLDED}
 
 
 def swinging(geometry: DeltaKinematics, seconds: float = 0.3, reach_mm: float = 30.0) -> np.ndarray:
