@@ -88,20 +88,6 @@ def test_whitened_noise_has_variance_one() -> None:
     assert np.median(density) == pytest.approx(0.2**2 / 800, rel=0.06)  # white noise: variance over the Nyquist band
 
 
-def test_diagnose_says_none_where_nothing_is_hidden(tmp_path: Path) -> None:
-    folder = RUNS / "nothing-hidden"
-    if not folder.is_dir():
-        pytest.skip("the runs from outside are not beside the project (nothing-hidden)")
-    files = [str(folder / "runs" / f"{name}.csv") for name in ("infill-centre-1", "infill-centre-2", "infill-front")]
-    better = tmp_path / "better.toml"
-    machine = str(folder / "machine.toml")
-    answer = CliRunner().invoke(app, ["diagnose", *files, "-m", machine, "-o", str(better), "--json", "--quiet"])
-    assert answer.exit_code == 0, answer.output
-    told = json.loads(answer.stdout)
-    assert (told["schema"], told["verdict"], told["effects"]) == ("ffcomp-diagnose/1", "none", [])
-    assert told["machine"] is None and not better.exists()
-
-
 # ---- residual curves ----
 
 

@@ -71,11 +71,6 @@ def test_the_cruise_ratio_is_the_share_of_a_short_move_that_cruises(ratio: float
 # Corners
 
 
-def test_a_square_corner_is_passed_at_its_velocity() -> None:
-    corner = through([[0, 0], [50, 0], [50, 50]])
-    assert corner.end_v[0] == corner.start_v[1] == pytest.approx(5.0)
-
-
 @given(st.floats(0.1, 3.0))
 @settings(deadline=None)
 def test_the_angle_sets_the_speed_of_a_corner(turn: float) -> None:

@@ -59,27 +59,6 @@ UP = np.array([0.0, 0.0, 1.0, 0.0])
 ORIGIN = np.array([3.0, -5.0, 20.0, 0.0])
 
 
-@pytest.mark.parametrize("motor", [0, 1, 2, 3])
-def test_constant_speed(motor: int) -> None:
-    """Straight up, and filament: step k of v t at (k + 1/2) step / v."""
-    direction = UP if motor < 3 else np.array([0.0, 0.0, 0.0, 1.0])
-    tick, way, _ = steps(path(ORIGIN, (direction, 37.0, 0.0, 0.5)), motor)
-    heights = (np.arange(int(37.0 * 0.5 / STEP_MM + 0.5)) + 0.5) * STEP_MM
-    assert np.abs(tick - heights / 37.0 * CLOCK_HZ).max() <= 0.501
-    assert len(tick) == len(heights) and np.all(way == 1)
-
-
-def test_from_rest_to_rest() -> None:
-    """a t²/2 down, then the same mirrored: √(2 h / a), and as long before the end."""
-    down, a, lasts = -UP, 2000.0, 0.05
-    tick, way, _ = steps(path(ORIGIN, (down, 0.0, a, lasts), (down, a * lasts, -a, lasts)))
-    heights = (np.arange(int(a * lasts**2 / 2 / STEP_MM + 0.5)) + 0.5) * STEP_MM
-    half = np.sqrt(2 * heights / a)
-    expected = np.concatenate([half, 2 * lasts - half[::-1]]) * CLOCK_HZ
-    assert np.abs(tick - expected).max() <= 0.51
-    assert np.all(way == -1)
-
-
 def test_a_carriage_turns_where_the_nozzle_passes_its_tower() -> None:
     """h = √(L² − r² − (v t)²) along a line across the tower's foot: up to t = 0 and down again, mirrored."""
     foot = GEOMETRY.towers_mm[0]

@@ -12,7 +12,6 @@ from models.arrays import constant
 from models.effects.catalogue import effective_machine, with_effect
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
-from models.printer.printer import simulate_printer
 from models.vibration.modal import Axis, ModalAxes
 
 RIGID = Axis()
@@ -104,19 +103,6 @@ def test_the_state_matrices_say_the_same_as_the_responses() -> None:
     )
     assert answer[1::2] == pytest.approx(s * answer[::2])
     assert len(plant.names) == 8, "two states for each mode, a rigid axis among them"
-
-
-def test_the_virtual_printer_plays_the_same_modes() -> None:
-    """A command of two sines: after its first second, the printer is where the closed form says."""
-    x, y = Axis([40.0, 70.0], [0.05, 0.06], [0.7, 0.3]), Axis([33.0], [0.1])
-    t = np.arange(0, 2.0, 1e-3)
-    command = np.column_stack([np.sin(2 * np.pi * 21.0 * t), np.sin(2 * np.pi * 30.0 * t), 5.0 + 0.0 * t])
-    motion = simulate_printer(machine(x, y), command, 1e-3)
-    late = t > 1.5
-    for column, (axis, f) in enumerate(((x, 21.0), (y, 30.0))):
-        g = closed_form(axis, np.array([f]))[0]
-        assert motion.nozzle_mm[late, column] == pytest.approx((g * np.exp(2j * np.pi * f * t[late])).imag, abs=2e-4)
-    assert motion.nozzle_mm[:, 2] == pytest.approx(5.0, abs=1e-9)
 
 
 def chain(k1: float, k2: float, m1: float, m2: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
