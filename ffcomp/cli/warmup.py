@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import say
@@ -94,43 +95,23 @@ def _printers_beside() -> Iterator[subprocess.Popen[bytes]]:
 def _steps(printers: subprocess.Popen[bytes]) -> Iterator[tuple[str, Callable[[], object]]]:
     """Yield what compiles, each with its name."""
     for kind, machine in MACHINES.items():
-        yield f"compensate, {kind}", partial(_in_a_folder, _compensate, machine)
-        yield f"compensate --robust on, {kind}", partial(_in_a_folder, _compensate_robustly, machine)
-    yield "estimate", partial(_in_a_folder, _estimate, MACHINES["a delta"])
+        yield f"compensate, {kind}", partial(_run, "", machine)
+        yield f"compensate --robust on, {kind}", partial(_run, "", machine, robust="on", predict=False)
+    yield "estimate", partial(_run, "estimate", MACHINES["a delta"], predict=False)
     yield "virtual printers", printers.wait
     for kind, machine in MACHINES.items():
-        yield f"simulate, {kind}", partial(_in_a_folder, _simulate, machine)
+        yield f"simulate, {kind}", partial(_run, "simulate", machine, predict=False)
 
 
-def _in_a_folder(do: Callable[[Path, str], None], machine: str) -> None:
+def _run(verb: str, machine: str, **options: Any) -> None:
+    """Compensate the print, and do the verb with it."""
     from tempfile import TemporaryDirectory
+
+    import ffcomp
 
     with TemporaryDirectory(prefix="ffcomp-") as folder:
         file = Path(folder, SUBJECT)
         file.write_text(PRINT, encoding="ascii")
-        do(file, machine)
-
-
-def _compensate(file: Path, machine: str) -> None:
-    from ffcomp import compensate
-
-    compensate(file, machine, file.with_suffix(".out"))
-
-
-def _compensate_robustly(file: Path, machine: str) -> None:
-    from ffcomp import compensate
-
-    compensate(file, machine, file.with_suffix(".out"), robust="on", predict=False)
-
-
-def _simulate(file: Path, machine: str) -> None:
-    from ffcomp import compensate, simulate
-
-    compensate(file, machine, file, predict=False)
-    simulate(file, machine)
-
-
-def _estimate(file: Path, machine: str) -> None:
-    from ffcomp import estimate
-
-    estimate(file, machine)
+        ffcomp.compensate(file, machine, file, **options)
+        if verb:
+            getattr(ffcomp, verb)(file, machine)
