@@ -127,14 +127,6 @@ def _wrapped(line: str, width: int) -> str:
     return fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
-def opened(target: str) -> bool:
-    """Open a file or an address with the program that the desktop has for it; False: there is none."""
-    import webbrowser
-
-    path = Path(target)
-    return webbrowser.open(path.resolve().as_uri() if path.exists() else target)
-
-
 def machine_of(stamp: Stamp, file: Path) -> Machine:
     """Find a stamp's machine: in the library, the user's folder, next to the print, or here.
 

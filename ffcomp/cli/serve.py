@@ -6,10 +6,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-from urllib.parse import urlsplit
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import opened, require, say
+from ffcomp.cli.common import require, say
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, OUTPUT, REACH, SPEED, Option, Request
 
@@ -39,14 +38,6 @@ class ServeRequest(Request):
         tuple[str, ...],
         Option("Another host name of this server. May be repeated.", REACH, metavar="NAME"),
     ] = ()
-    frame: Annotated[
-        tuple[str, ...],
-        Option(
-            "Address of a page that may show this one as a panel, e.g. http://mainsailos.local. May be repeated.",
-            REACH,
-            metavar="URL",
-        ),
-    ] = ()
     certificate: Annotated[Path | None, Option("Certificate, for HTTPS (PEM).", REACH, metavar="FILE")] = None
     key: Annotated[Path | None, Option("Its private key (PEM).", REACH, metavar="FILE")] = None
     folder: Annotated[
@@ -57,12 +48,9 @@ class ServeRequest(Request):
     open_it: Annotated[bool, Option("Open the page in the browser.", ADVANCED, "--open")] = False
 
     def check(self) -> None:
-        """Check addresses, and that a certificate has its key."""
+        """Check that a certificate has its key."""
         if (self.certificate is None) != (self.key is None):
             raise RequestError("--certificate and --key go together.")
-        for url in self.frame:
-            if urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).hostname or set(url) & set(" ;,'\""):
-                raise RequestError(f"{url}: an address begins with http:// or https://.")
 
 
 @verb
@@ -86,7 +74,6 @@ def serve(request: ServeRequest) -> None:
         jobs=request.jobs,
         largest_bytes=request.largest_mb * MEGABYTE,
         names=request.name,
-        frames=request.frame,
         secure=request.certificate is not None,
         token="" if is_local(request.host) else kept_token(folder),
     )
@@ -100,6 +87,7 @@ def _data_folder() -> Path:
 
 
 def _run(settings: ServeSettings, request: ServeRequest) -> None:
+    import webbrowser
     from contextlib import suppress
     from dataclasses import replace
 
@@ -112,7 +100,7 @@ def _run(settings: ServeSettings, request: ServeRequest) -> None:
         app = Server(settings).app()
         _say(settings)
         if request.open_it:
-            opened(settings.address)
+            webbrowser.open(settings.address)
         with suppress(KeyboardInterrupt):  # that is how it ends
             uvicorn.Server(_config(app, request)).run([door])
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import machine_of, opened, say
+from ffcomp.cli.common import machine_of
 from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
@@ -58,7 +58,6 @@ class ShowRequest(Request):
         Literal["compensated", "original"],
         Option("Whose error --gcode-preview shows: compensated or original.", OUTPUT, metavar="WHICH"),
     ] = "compensated"
-    open_it: Annotated[bool, Option("Open the picture when it is made.", OUTPUT, "--open")] = False
 
 
 @verb
@@ -70,16 +69,7 @@ def show(request: ShowRequest) -> Result:
 
     Example: ffcomp show out.gcode
     """
-    result = _show(request)
-    if request.open_it:
-        open_picture(str(result.picture))
-    return result
-
-
-def open_picture(picture: str) -> None:
-    """Open the picture with the desktop's viewer; if there is none, say where the picture is."""
-    if not opened(picture):
-        say(f"ffcomp: Found no program that opens pictures. The picture is {picture}.")
+    return _show(request)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -83,14 +83,13 @@ def matches(token: str, settings: ServeSettings) -> bool:
     return not settings.token or hmac.compare_digest(token.encode(), settings.token.encode())
 
 
-def policy(path: str, settings: ServeSettings) -> str:
-    """Return the Content-Security-Policy of a page: nothing is fetched from elsewhere, and only FRAMES frame it."""
-    frames = " ".join(("'self'", *settings.frames))
+def policy(path: str) -> str:
+    """Return the Content-Security-Policy of a page: nothing is fetched from elsewhere, and no other page frames it."""
     if path.startswith(REPORT):  # it has a policy itself, and is kept from this server's own interface
-        return f"sandbox allow-scripts allow-popups; frame-ancestors {frames}"
+        return "sandbox allow-scripts allow-popups; frame-ancestors 'self'"
     return (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-        f"base-uri 'none'; form-action 'none'; frame-ancestors {frames}"
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
     )
 
 
@@ -131,7 +130,7 @@ class Guard:
 
     def _with_headers(self, path: str, send: Send) -> Send:
         added = {
-            b"content-security-policy": policy(path, self.settings).encode(),
+            b"content-security-policy": policy(path).encode(),
             b"x-content-type-options": b"nosniff",
             b"referrer-policy": b"no-referrer",
             b"cross-origin-resource-policy": b"same-origin",

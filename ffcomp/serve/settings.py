@@ -24,7 +24,6 @@ class ServeSettings:
     room_bytes: int = 20 * 1024 * MEGABYTE  # for all files of the folder together
     keep_days: float = 14.0  # after which finished jobs are removed
     names: tuple[str, ...] = ()  # of the server, in addition to those that `guard` knows
-    frames: tuple[str, ...] = ()  # origins of pages that may show this one in a frame, e.g. `http://mainsailos.local`
     token: str = ""  # that a visitor needs; empty: none
     secure: bool = False  # the server speaks TLS
 

@@ -1,4 +1,4 @@
-"""The picture of `ffcomp show`: outer walls first, travel thin, one scope for each number, and opening it."""
+"""The picture of `ffcomp show`: outer walls first, travel thin, one scope for each number."""
 
 from __future__ import annotations
 
