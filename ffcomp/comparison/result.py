@@ -199,10 +199,9 @@ class Comparison(Result):
         """A measurement, where the machine file is not known well enough."""
         return self.answer.next_steps
 
-    def figures(self) -> list[str]:
-        """Return the names of the figures that `plot` draws; the last one where equal quality was sought."""
-        sought = any(method.equal_quality is not None for method in self.methods.values())
-        return [*FIGURES, *(["equal-quality"] if sought else [])]
+    def figures(self) -> Sequence[str]:
+        """Return the names of the figures that `plot` draws."""
+        return FIGURES
 
     @missing_extras_explained()
     def plot(self, name: str = "methods", **options: Any) -> Any:

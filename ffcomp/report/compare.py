@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method
+from ffcomp.comparison.result import Comparison, Family, Method
 from ffcomp.comparison.sentences import nick
 from ffcomp.errors import RequestError
 from ffcomp.numerics.digits import um
@@ -53,21 +53,16 @@ def drawings(comparison: Comparison) -> list[Drawing]:
         return Drawing(name, title, "", caption, WIDTH, height, partial(_alone, draw=draw, comparison=comparison))
 
     features = ROW * len(comparison.none.by_feature) + 1.7
-    every = [
+    return [
         of("close-up", "Largest error without compensation", 5.2, CLOSE_UP, _close_up),
         of("errors-by-layer", "Error by layer", 3.6, "", _by_layer),
         of("errors-by-feature", "Error by feature, and its share of the time", features, "", _by_feature),
         of("methods", "All methods", rows, METHODS, _errors),
     ]
-    if any(method.equal_quality is not None for method in methods):
-        bound = f"{comparison.quality_bound_um:g} µm"
-        every.append(of("equal-quality", f"99 % within {bound} up to this acceleration", rows, QUALITY, _fastest))
-    return every
 
 
 CLOSE_UP = "Seen from above, true to scale. Equal waves after a corner are ringing."
 METHODS = "Large dot: rms. Line: 99 %. Small dot: largest. ★: the method has the lowest error."
-QUALITY = "Empty: the bound is exceeded even at the lowest acceleration tried."
 
 
 def _alone(box: Box, draw: Callable[[Axes, Comparison], None], comparison: Comparison) -> None:
@@ -164,24 +159,6 @@ def _errors(axes: Axes, comparison: Comparison) -> None:
     axes.margins(x=0.25)  # for the number of the leftmost dot
     _rows(axes, comparison, methods)
     plain_decades(axes.xaxis)
-
-
-def _highest(quality: EqualQuality) -> str:
-    sign = "≥ " if quality.capped else "" if quality.reached else "< "
-    return f"{sign}{quality.acceleration_mm_per_s2:,.0f}"
-
-
-def _fastest(axes: Axes, comparison: Comparison) -> None:
-    there = [(m, m.equal_quality) for m in comparison.methods.values() if m.equal_quality is not None]
-    for k, (method, quality) in enumerate(there):
-        look: dict[str, Any] = {"color": COLOURS[method.family]} if quality.reached else {"fill": False}
-        highest = quality.acceleration_mm_per_s2
-        axes.barh(k, highest, edgecolor=COLOURS[method.family], height=0.7, **look)
-        axes.text(highest, k, f" {_highest(quality)}, {clock(quality.print_time_s)}", va="center", fontsize=8)
-    axes.set_xlim(0, 1.7 * max(quality.acceleration_mm_per_s2 for _, quality in there))
-    axes.set_xlabel("mm/s²; then the whole print takes")
-    axes.locator_params(axis="x", nbins=4)
-    _rows(axes, comparison, [method for method, _ in there])
 
 
 def _rows(axes: Axes, comparison: Comparison, methods: Sequence[Method]) -> None:
