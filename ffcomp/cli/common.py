@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.util import find_spec
-from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -26,8 +25,6 @@ from models.errors import MachineFileError
 
 if TYPE_CHECKING:
     from ffcomp.result import Result
-    from gcode.embedded import Stamp
-    from models.machine import Machine
 
 
 @contextmanager
@@ -125,17 +122,3 @@ def _wrapped(line: str, width: int) -> str:
     name = re.match(r"  \S.*?  +", line)
     indent = len(name[0]) if name else 2
     return fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
-
-
-def machine_of(stamp: Stamp, file: Path) -> Machine:
-    """Find a stamp's machine: in the library, the user's folder, next to the print, or here.
-
-    Raises
-    ------
-    MachineFileError
-        If none of these files has the stamp's hash.
-    """
-    from models.file import find_by_sha256, load_machine
-
-    near = [path for folder in (file.parent, Path.cwd()) for path in sorted(folder.glob("*.toml"))]
-    return load_machine(find_by_sha256(stamp.sha256, stamp.machine, near).resolve())

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import machine_of
 from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
@@ -127,6 +126,7 @@ class ShowResult(Result):
 
 
 def _show(request: ShowRequest) -> ShowResult:
+    from ffcomp.api.machines import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import show_figure
     from ffcomp.simulation.forecast import forecast_in

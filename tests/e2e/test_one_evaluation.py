@@ -83,7 +83,6 @@ VERBS = [  # in this order: a verb may read what an earlier one wrote
     "compensate print.gcode -m mp-delta-pro -o out.gcode",
     "show out.gcode -o out.svg",
     "estimate print.gcode -m mp-delta-pro --layers",
-    "estimate print.gcode print.gcode -m mp-delta-pro",
     "compare long.gcode -m mp-delta-pro --only mzv --quality-um 0",
     "simulate out.gcode -m mp-delta-pro -o run-1.csv",
     "gap run-1.csv -m mp-delta-pro",
