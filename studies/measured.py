@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnosis.gap import gap_of
-from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from models.file import load_plant
 from studies.render import DATA, REPORTS, results_of, save
@@ -216,8 +215,8 @@ def measured(system: System, data: Path, folder: Path) -> dict[str, Any]:
         "right": bool(set(named) & set(system.expected)),
         "wrong": sorted(set(named) - set(system.expected)),
         "compared": answer["compared"],
-        "fit": {key: gap(path, fit, answer["compared"]) for key, path in files.items()},
-        "test": {key: gap(path, test, answer["compared"]) for key, path in files.items()},
+        "fit": {key: gap(path, fit) for key, path in files.items()},
+        "test": {key: gap(path, test) for key, path in files.items()},
         "others": answer["other_motions"],
         "seconds": answer["cpu_s"],
     }
@@ -250,14 +249,10 @@ def cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def gap(machine: Path, files: list[Path], compared: str) -> float:
+def gap(machine: Path, files: list[Path]) -> float:
     """Return the gap of a machine file on recordings, as a share of what the answer compared."""
     plant = plant_of(machine)
-    problem: Problem | None = problem_of(plant, recordings_of(plant, files), ())
-    if problem is not None and compared == "forces":
-        problem = problem.balance()
-    assert problem is not None
-    return gap_of(problem).residual.total.nrms
+    return gap_of(problem_of(plant, recordings_of(plant, files), ()).compared()).residual.total.nrms
 
 
 def numbers(parameters: dict[str, Any]) -> str:

@@ -9,11 +9,12 @@ next the ripple shifts by a quarter of a turn over the whole travel, or a short 
 simulation restarts all the time, it leaves too little of a ripple. There the force is known, and what of it inertia
 and friction do not explain is searched line by line (matching pursuit; Mallat and Zhang 1993).
 
-Under feedback a free axis may hardly move while its drive holds all that is missing: simulated from that force alone it
-runs away within a shot, and what merely holds it still seems to explain that. Then the force is the answer to the
-motion: `ForceBalance` compares it with the force that the measured motion needs (inverse dynamics, as robots are
-identified; Gautier 1986). Of a motor and its load each is compared by itself: the force that the one needs, and the
-place to which its motion takes the other. Simulated together, the unknown friction of the motor would hide the load.
+A known force that drives an axis is as much the answer to its motion as its cause: under feedback the axis may hardly
+move while its drive holds all that is missing, and simulated from that force alone it runs away. So `ForceBalance`
+compares the force with the one that the measured motion needs (inverse dynamics, as robots are identified; Gautier
+1986), by the noise that an encoder makes in it. Of a motor and its load each is compared by itself: the force that the
+one needs, and the place to which its motion takes the other. Simulated together, the unknown friction of the motor
+would hide the load.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_parameters
-from ffcomp.diagnosis.noise import SIMULATION_ERROR
+from ffcomp.diagnosis.noise import SIMULATION_ERROR, density_of, noise_grid
 from ffcomp.diagnosis.observations import quick_length
 from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Observation, Parameter, Problem
 from ffcomp.identification.axis_shots import (
@@ -75,7 +76,7 @@ class AxisProblem(Problem):
         self.machine, self.recordings = machine, runs
         self.name, self.path, quantities = machine.name, machine.path, machine.vibration.quantities
         self.names = MachineNames(quantities=quantities, catalogue=catalogue_of(quantities, machine.vibration.moves))
-        self.commanded, self.separable = not driven_axis(machine).by_force, bool(driven_axis(machine).load_mass_kg)
+        self.commanded = not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
         self.places = [_way(one.run) for one in self.shots]  # (n,) mm, or one NaN: not measured
         self.band_hz = band_of(self.shots)
@@ -112,9 +113,9 @@ class AxisProblem(Problem):
         """Return the run whose simulation serves each window."""
         return [self._same[window.run] for window in self.windows]
 
-    def _least_density(self, signals: Sequence[str]) -> dict[str, float]:
+    def _least_density(self, signals: Sequence[str]) -> dict[str, float | FloatArray]:
         """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""
-        density: dict[str, float] = {}
+        density: dict[str, float | FloatArray] = {}
         for name in (s for s in signals if s.startswith("pos")):
             shots = [one for one in self.shots if name in one.run.signals]
             rate = min(one.run.sample_rate_hz for one in shots)
@@ -161,21 +162,17 @@ class AxisProblem(Problem):
         self.work.add(STEP_COST * motion.steps)
         return motion.sensed(machine)
 
-    def balance(self) -> ForceBalance | None:
-        """Return the same recordings by the force that their motion needs; None where that is not known."""
-        known = self.forces_known and not self.forces and all(one.length for one in self.shots)
-        return ForceBalance(self) if known else None
-
-    @property
-    def forces_known(self) -> bool:
-        """Whether the drive's force is known, and where each mass is at every sample."""
-        needed = ("pos_q", "pos_motor") if driven_axis(self.machine).load_mass_kg else ()
-        places = [*self.places, *(one.run.position.get(s, np.full(1, np.nan)) for one in self.shots for s in needed)]
-        return not self.commanded and all(bool(np.isfinite(place).all()) for place in places)
+    def compared(self) -> AxisProblem:
+        """Return the problem of the forces, where a known force drives an axis that nothing holds."""
+        driven = any(bool(one.run.drive.any()) for one in self.shots) and all(one.length for one in self.shots)
+        return self.by_force() if driven else self
 
     def by_force(self) -> AxisProblem:
-        """Return the problem of the forces, where the drive's is known."""
-        return ForceBalance(self) if self.forces_known and not self.forces else self
+        """Return the problem of the forces, where the drive's is known, and where each mass is at every sample."""
+        needed = ("pos_q", "pos_motor") if driven_axis(self.machine).load_mass_kg else ()
+        places = [*self.places, *(one.run.position.get(s, np.full(1, np.nan)) for one in self.shots for s in needed)]
+        known = not (self.commanded or self.forces) and all(bool(np.isfinite(place).all()) for place in places)
+        return ForceBalance(self) if known else self
 
     def moved(self, i: int) -> Mapping[str, FloatArray]:
         """Return position, speed, and the drive's force or the acceleration of a window, (n, m) each."""
@@ -208,11 +205,35 @@ class ForceBalance(AxisProblem):
         self.__dict__.update(problem.__dict__)
         axis, shots = driven_axis(self.machine), problem.shots
         self._driven = [replace(one, length=1, begin=_states(one), began={}) for one in shots]
-        self._accelerations = [np.gradient(1e-3 * one.begin[:, 3], 1 / one.run.sample_rate_hz) for one in self._driven]
+        self._accelerations = [_acceleration(one.begin[:, 2], one.run.sample_rate_hz) for one in self._driven]
         self.shots = [self._compared(one, axis) for one in shots]
         self.band_hz = (0.0, band_of([replace(one, length=0) for one in self.shots])[1])  # a constant force is one too
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
-        self.least_density, self._kept = self._least_density(["pos_q"]) if axis.load_mass_kg else {}, {}
+        density = self._force_density(problem, axis)
+        self.band_hz = (0.0, min(self.band_hz[1], self._last_heard(density)))
+        loads, self._kept = self._least_density(["pos_q"]) if axis.load_mass_kg else {}, {}
+        self.least_density = {**loads, "force": density}
+
+    def _force_density(self, problem: AxisProblem, axis: DrivenAxis) -> FloatArray:
+        """Return the density of the noise of forces, (k,) N²/Hz: of the drive's, and of the one that a motion needs.
+
+        An encoder's noise becomes a force by the axis' inverse response, m s² + c s + k: it rises with frequency.
+        """
+        s, band = 2j * np.pi * noise_grid(self.observations), self.band_hz[1]
+        needed = np.abs(axis.mass_kg * s**2 + axis.ground_damping * s + axis.spring_n_per_m) ** 2
+        places = [(one.run.position.get("pos_motor", _way(one.run)), one.run.sample_rate_hz) for one in problem.shots]
+        forces = [(one.run.signals["force"], one.run.sample_rate_hz) for one in self.shots]
+        encoder, force = (
+            float(np.median([2 * noise_sd(x) ** 2 / rate for x, rate in each])) for each in (places, forces)
+        )
+        size = float(np.mean([np.mean(x**2) for x, _ in forces]))
+        return np.asarray(1e-6 * needed * encoder + force + SIMULATION_ERROR**2 * size / band)
+
+    def _last_heard(self, noise: FloatArray) -> float:
+        """Return the frequency, Hz, beyond which the drive's force is below the noise of what the motion needs."""
+        grid = noise_grid(self.observations)
+        signal = np.mean([density_of(one.run.signals["force"], one.run.sample_rate_hz, grid) for one in self.shots], 0)
+        return float(grid[max(int(np.argmax(np.cumsum(signal - noise))), 2)])
 
     def _compared(self, one: Shots, axis: DrivenAxis) -> Shots:
         """Return the drive's force, and the place of a load from its motor's, as signals."""
@@ -271,6 +292,12 @@ def _states(one: Shots) -> FloatArray:
     motor = one.run.position.get("pos_motor", place)
     motor_speed = one.speed if motor is place else speed_of(motor, one.run.sample_rate_hz)
     return np.column_stack([place, one.speed, motor, motor_speed])
+
+
+def _acceleration(place_mm: FloatArray, rate_hz: float) -> FloatArray:
+    """Return the second derivative of a place, (n,) m/s², by five points: not smoothed, for its noise is known."""
+    padded = np.pad(1e-3 * place_mm, 2, mode="reflect", reflect_type="odd")
+    return np.asarray(np.convolve(padded, np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12 * rate_hz**2, "valid"))
 
 
 def _way(run: AxisRun) -> FloatArray:

@@ -155,13 +155,14 @@ def diagnose(
     budget = BUDGET_STEPS if budget is None else budget
     asked = _Asked(settings, Trace() if trace is None else trace, progress)
     problem.work.begin(budget)
-    result = _diagnosed(problem, noise_floor(problem), problem.least_density, asked)
+    problem = problem.compared()
+    result = _diagnosed(problem, noise_floor(problem), asked)
     guessed = not result.noise.from_repeats and result.fault is None
     if guessed and result.floor_is_wrong:
         progress("the residual is below the guessed noise: it becomes the noise, and the search starts again")
         problem.work.begin(budget)
         same = result.estimation.problem
-        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), {}, asked)
+        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), asked, known=False)
     concluded = replace(_concluded(result), cut_short=problem.work.cut)
     names = concluded.best.names if concluded.best is not None else ()
     asked.trace.add("verdict", names, left=concluded.final.discrepancy, outcome=concluded.finding)
@@ -204,12 +205,12 @@ class _Asked:
     progress: Progress
 
 
-def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], asked: _Asked) -> Diagnosis:
+def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool = True) -> Diagnosis:
     settings, progress = asked.settings, asked.progress
     progress(Stage(1, "estimating the noise"))
     if not (noise.from_repeats or noise.of_sensors):
         progress("no repeats: the noise floor is taken from above the model's band")
-    floor = at_least(noise, problem.observations, problem.band_hz, density)
+    floor = at_least(noise, problem.observations, problem.band_hz, problem.least_density if known else {})
     estimation = estimation_problem(
         problem, whitener(problem.observations, floor, problem.band_hz), settings, asked.trace
     )
@@ -219,11 +220,6 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
-    still = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
-    most = least if problem.separable else still
-    if base.discrepancy > most and (balance := problem.balance()) is not None:
-        progress("simulated from its force, the axis hides what is missing: forces are compared")
-        return _diagnosed(balance, noise_floor(balance), balance.least_density, asked)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)

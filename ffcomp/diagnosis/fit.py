@@ -240,11 +240,6 @@ class Fit:
         return float(2 * gradient @ step - step @ self.information @ step)
 
     @property
-    def predicted_discrepancy(self) -> float:
-        """The discrepancy that the best step would leave if the simulation were linear."""
-        return (self.cost - self.predicted_gain) / len(self.residual) - 1
-
-    @property
     def _certain_information(self) -> FloatArray:
         """The information without the part that errors of the derivatives alone may cause."""
         length = np.maximum(np.linalg.norm(self.jacobian, axis=0), 1e-300)

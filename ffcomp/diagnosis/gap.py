@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, cast
 
-import numpy as np
-
-from ffcomp.diagnosis.fit import estimation_problem, fit
 from ffcomp.diagnosis.noise import NoiseFloor, noise_floor, whitener
 from ffcomp.diagnosis.problem import Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
@@ -105,25 +102,7 @@ def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy
     """Simulate the recordings with the machine and its effects, and compare; MeasurementError if they cannot be its."""
     problem = problem_of(machine, recordings, ())
     check_alike(recordings)
-    return gap_of(as_compared(problem))
-
-
-def as_compared(problem: Problem) -> Problem:
-    """Return the problem that `diagnose` compares on these recordings.
-
-    Of an axis that is further off than one that stands still, also with its numbers retuned: that of the forces; of one
-    with a load as soon as anything is left.
-    """
-    balance = problem.balance()
-    if balance is None:
-        return problem
-    estimation = estimation_problem(problem, whitener(problem.observations, noise_floor(problem), problem.band_hz))
-    residual, still = estimation.residual({}), float(estimation.measured @ estimation.measured)
-    most = (1 + estimation.tolerance) * len(residual) if problem.separable else still
-    if float(residual @ residual) <= most:
-        return problem
-    retuned = fit(estimation, problem.parameters, np.zeros(len(problem.parameters)), iterations=12)
-    return balance if retuned.cost > most else problem
+    return gap_of(problem.compared())
 
 
 def gap_of(problem: Problem) -> Discrepancy:

@@ -49,6 +49,11 @@ class NoiseFloor:
         return np.interp(frequency_hz, self.frequency_hz, self.density[signal])
 
 
+def noise_grid(observations: Sequence[Observation]) -> FloatArray:
+    """Return the frequencies, (k,) Hz, at which densities are given."""
+    return np.arange(0.0, min(o.rate_hz for o in observations) / 2 + 1e-9, 1 / SEGMENT_S)
+
+
 def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:
     """Take the noise from repeats; without any, from what is left above the model's band.
 
@@ -83,7 +88,7 @@ def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None
     density = {}
     for signal in sorted({name for a, b in pairs for name in a.signals if name in b.signals}):
         both = [(a, b) for a, b in pairs if signal in a.signals and signal in b.signals]
-        spectra = [_density(_column(a, signal) - _column(b, signal), a.rate_hz, grid) / 2 for a, b in both]
+        spectra = [density_of(_column(a, signal) - _column(b, signal), a.rate_hz, grid) / 2 for a, b in both]
         averages = sum(len(a.measured) / a.rate_hz for a, _ in both) / SEGMENT_S * SMOOTHED_LINES
         density[signal] = _smooth(np.mean(spectra, axis=0), grid) * (1 + 1 / averages)
     for signal in {name for r in observations for name in r.signals} - set(density):
@@ -101,7 +106,7 @@ def noise_from_residual(
     ----------
     errors : (n, m) an observation, measured − simulated.
     """
-    grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
+    grid = noise_grid(observations)
     high = (grid > 1.1 * band_hz[1]) & (grid < 0.95 * grid[-1])  # up to nearly the Nyquist frequency
     density = {}
     for signal in sorted({name for r in observations for name in r.signals}):
@@ -110,14 +115,14 @@ def noise_from_residual(
             for r, e in zip(observations, errors, strict=True)
             if signal in r.signals
         ]
-        spectrum = np.mean([_density(fill_gaps(column), rate, grid) for column, rate in columns], axis=0)
+        spectrum = np.mean([density_of(fill_gaps(column), rate, grid) for column, rate in columns], axis=0)
         density[signal] = np.full(len(grid), np.median(spectrum[high]))
     return NoiseFloor(grid, density, False)
 
 
-def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, float]) -> NoiseFloor:
-    """Take white noise of known densities, unit²/Hz; signals without one have negligible noise."""
-    grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
+def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, float | FloatArray]) -> NoiseFloor:
+    """Take noise of known densities, unit²/Hz, white or (k,) at `noise_grid`; signals without one have hardly any."""
+    grid = noise_grid(observations)
     signals = sorted({name for r in observations for name in r.signals})
     return NoiseFloor(
         grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False, of_sensors=True
@@ -133,7 +138,7 @@ def at_least(
     floor: NoiseFloor,
     observations: Sequence[Observation],
     band_hz: tuple[float, float],
-    least: Mapping[str, float] | None = None,
+    least: Mapping[str, float | FloatArray] | None = None,
 ) -> NoiseFloor:
     """Raise the floor of sensors that are quieter than any simulation is exact.
 
@@ -167,7 +172,7 @@ def raised_to_residual(
     for signal, least in floor.density.items():
         spectra = [
             _smooth(
-                _density(fill_gaps(e[:, o.signals.index(signal)]), o.rate_hz, floor.frequency_hz), floor.frequency_hz
+                density_of(fill_gaps(e[:, o.signals.index(signal)]), o.rate_hz, floor.frequency_hz), floor.frequency_hz
             )
             for o, e in zip(observations, errors, strict=True)
             if signal in o.signals
@@ -208,7 +213,8 @@ def fill_gaps(values: FloatArray) -> FloatArray:
     return np.where(missing, np.interp(t, t[~missing], values[~missing]), values)
 
 
-def _density(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:
+def density_of(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:
+    """Return the one-sided power spectral density, (k,) unit²/Hz, at these frequencies (Welch)."""
     from scipy.signal import welch
 
     frequency, density = welch(x, rate_hz, nperseg=min(len(x), round(SEGMENT_S * rate_hz)))

@@ -198,13 +198,13 @@ class Problem(ABC):
     recordings: Sequence[object]  # that the observations are from
     repeats: Sequence[Repeats] = ()
     commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
-    separable: bool = False  # `balance` compares parts that hide one another where they are simulated together
     commanded: bool = True  # by a position, which a firmware may shape; else by a force
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
     names: MachineNames = MachineNames()
     forces: bool = False  # compared are the drive's force and the one that the measured motion needs, not signals
-    least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
+    # of a signal's noise, unit²/Hz, at all frequencies or at those of `noise_grid`: no simulation is nearer than that
+    least_density: Mapping[str, float | FloatArray] = {}
 
     @cached_property
     def work(self) -> Work:
@@ -244,9 +244,9 @@ class Problem(ABC):
         """Return the problem on a part of its observations, which is quicker; None if there is none."""
         return None
 
-    def balance(self) -> Problem | None:
-        """Return the problem of the forces that the measured motion needs; None if there is none."""
-        return None
+    def compared(self) -> Problem:
+        """Return the problem by which the recordings are judged: of forces, where they drive a free axis; else this."""
+        return self
 
     def by_force(self) -> Problem:
         """Return the problem whose residual is a force, where force and motion are measured; else this one."""

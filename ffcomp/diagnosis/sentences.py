@@ -26,10 +26,7 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
     said = by_finding.get(result.finding, _unexplained)(result)
     sentences = [*worse_elsewhere(result), *said]
     if result.forces:
-        sentences.append(
-            "The drive's force is compared with the one that the measured motion needs, and the place of a load with "
-            "the one to which its motor takes it: in a motion simulated from the force, one error would hide the other."
-        )
+        sentences.append("The drive's force is compared with the one that the measured motion needs.")
     sentences += other_motions(result)
     if result.cut_short:
         sentences.append(

@@ -10,6 +10,7 @@ import pytest
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.gap import measure_gap
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import problem_of
 from ffcomp.diagnosis.result import result_of
@@ -32,30 +33,23 @@ LINES = ((7, 0.8, 0.0), (28, 0.0, 0.5), (12, 0.3, 0.2))
 NAMES = ("cogging_force", "guide_damping", "bristle_friction")
 
 
-def turned(seed: int, machine: Machine = MOTOR, missing: bool = True) -> AxisProblem:
+def turned(seed: int, machine: Machine = MOTOR, missing: bool = True, encoder_mm: float = 1e-3) -> AxisProblem:
     """A rotor that is turned slowly by a controller that leaves nothing of its cogging in the motion."""
     rng, t = np.random.default_rng(seed), np.arange(2400) / 400.0
     runs = []
     for k, speed in enumerate((0.5, -0.6)):
-        q, v, a = (f(t, speed, k) for f in (_place, _speed, _acceleration))
+        q, v, a = _motion(t, speed, k)
         force = INERTIA * a + DAMPING * v + 5e-3 * rng.normal(size=len(t))
         if missing:
             force += sum(s * np.sin(n * q) + c * np.cos(n * q) for n, s, c in LINES)
-        place = 1e3 * q + 1e-3 * rng.normal(size=len(t))
+        place = 1e3 * q + encoder_mm * rng.normal(size=len(t))
         runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}, input="current"))
     return AxisProblem(machine, runs, NAMES)
 
 
-def _place(t: FloatArray, speed: float, k: int) -> FloatArray:
-    return speed * t + 0.05 * np.sin((3 + k) * t)
-
-
-def _speed(t: FloatArray, speed: float, k: int) -> FloatArray:
-    return speed + 0.05 * (3 + k) * np.cos((3 + k) * t)
-
-
-def _acceleration(t: FloatArray, speed: float, k: int) -> FloatArray:
-    return -0.05 * (3 + k) ** 2 * np.sin((3 + k) * t) + 0.0 * speed
+def _motion(t: FloatArray, speed: float, k: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    wave = 0.05 * np.sin((3 + k) * t)
+    return speed * t + wave, speed + 0.05 * (3 + k) * np.cos((3 + k) * t), -((3 + k) ** 2) * wave
 
 
 def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> None:
@@ -81,13 +75,22 @@ def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() ->
     rubbing = with_effects(MOTOR, {"bristle_friction": {"force_n": 0.3, "presliding_mm": 2.0}})
     quiet = turned(2, rubbing, missing=False)
     pushed = [replace(run, drive=run.drive + 5.0) for run in quiet.recordings if isinstance(run, AxisRun)]
-    both = [AxisProblem(rubbing, runs, NAMES).balance() for runs in (quiet.recordings, pushed)]  # type: ignore[arg-type]
-    needed, same = (np.concatenate(each.simulate({}))[:, 0] for each in both if each is not None)
+    both = [AxisProblem(rubbing, runs, NAMES).compared() for runs in (quiet.recordings, pushed)]  # type: ignore[arg-type]
+    needed, same = (np.concatenate(each.simulate({}))[:, 0] for each in both)
     np.testing.assert_allclose(needed, same, atol=1e-6)
-    forwards = needed[60:2300]
-    t = np.arange(60, 2300) / 400.0
-    expected = INERTIA * _acceleration(t, 0.5, 0) + DAMPING * _speed(t, 0.5, 0) + 0.3
-    np.testing.assert_allclose(forwards, expected, atol=0.01)
+    _, v, a = _motion(np.arange(60, 2300) / 400.0, 0.5)
+    np.testing.assert_allclose(needed[60:2300], INERTIA * a + DAMPING * v + 0.3, atol=0.01)
+
+
+def test_the_noise_of_an_encoder_counts_by_the_force_that_it_makes() -> None:
+    """The residual of the true machine is white, of variance one, although m s² makes its noise rise with frequency."""
+    problem = turned(6, missing=False, encoder_mm=0.2).compared()
+    floor = noise_floor(problem)
+    whiten = whitener(problem.observations, floor, (5.0, 60.0))
+    truth = whiten([o.measured - y for o, y in zip(problem.observations, problem.simulate({}), strict=True)])
+    loud = whiten.frequencies() > 30.0
+    for rows in (loud, ~loud):
+        assert float(np.mean(truth[rows] ** 2)) == pytest.approx(1.0, abs=0.3)
 
 
 def test_bristles_bend_along_a_measured_motion_in_closed_form() -> None:
@@ -96,8 +99,7 @@ def test_bristles_bend_along_a_measured_motion_in_closed_form() -> None:
     t = np.arange(400) / 200.0
     place = 0.05 * t
     runs = [AxisRun("a.csv", t, DAMPING * 0.05 + 0.0 * t, True, {}, {"pos_q": 1e3 * place}, {}, input="current")]
-    balance = AxisProblem(rubbing, runs, NAMES).balance()
-    assert balance is not None
+    balance = AxisProblem(rubbing, runs, NAMES).compared()
     needed = np.concatenate(balance.simulate({}))[:380, 0]
     expected = DAMPING * 0.05 + 0.3 * (1 - np.exp(-place[:380] / 0.02))
     np.testing.assert_allclose(needed[10:], expected[10:], atol=1e-6)
@@ -123,12 +125,11 @@ def test_a_weight_is_named_although_it_hardly_changes_within_a_window() -> None:
 def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itself() -> None:
     """Closed form: driving forwards takes 1/(1 - μ) of the rest, holding back 1/(1 + μ), whatever was measured."""
     quiet = turned(2, missing=False)
-    t = np.arange(60, 2300) / 400.0
-    rest = INERTIA * _acceleration(t, 0.5, 0) + DAMPING * _speed(t, 0.5, 0)
+    _, v, a = _motion(np.arange(60, 2300) / 400.0, 0.5)
+    rest = INERTIA * a + DAMPING * v
     for share, drive in ((0.3, 1.0), (0.3, 40.0), (0.97, 1.0)):
         runs = [replace(run, drive=drive * run.drive) for run in quiet.recordings if isinstance(run, AxisRun)]
-        balance = AxisProblem(with_effects(MOTOR, {"friction_by_load": {"share": share}}), runs, NAMES).balance()
-        assert balance is not None
+        balance = AxisProblem(with_effects(MOTOR, {"friction_by_load": {"share": share}}), runs, NAMES).compared()
         needed = np.concatenate(balance.simulate({}))[60:2300, 0]
         forwards = np.where(rest > 0, 1 - share, 1 + share)
         np.testing.assert_allclose(needed * forwards, rest, atol=0.01)
