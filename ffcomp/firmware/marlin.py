@@ -6,7 +6,7 @@ from math import inf
 
 from ffcomp.firmware.base import FileLimits, Firmware, Segments
 from ffcomp.firmware.marlin_planner import MarlinPlanner, cut_moves, on_delta, planner_of
-from ffcomp.firmware.marlin_segments import MarlinLimits, MarlinSegments
+from ffcomp.firmware.marlin_segments import MarlinSegments, raising, restoring
 from ffcomp.firmware.settings_in_force import assumed_sentence
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.segment_timing import SegmentLimits
@@ -63,11 +63,11 @@ class Marlin(Firmware):
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return M201 to M205 with the raised limits."""
-        return limit_lines(MARLIN, MarlinLimits(machine, raised).opening(file.commands), file.unit_mm)
+        return limit_lines(MARLIN, raising(machine, raised, file.commands), file.unit_mm)
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return M201 to M205 of the machine, then the file's own."""
-        return limit_lines(MARLIN, MarlinLimits(machine, raised).closing(file.commands), file.unit_mm)
+        return limit_lines(MARLIN, restoring(machine, raised, file.commands), file.unit_mm)
 
     def segments(self, model: InverseModel) -> Segments:
         """Return segments that are long enough in steps, and timed by the queue."""

@@ -38,53 +38,41 @@ FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # filament in a segment; E's jerk must al
 LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
 
 
-@dataclass(frozen=True, slots=True)
-class MarlinLimits:
-    """Commands that raise and restore the limits of the axes that may be raised."""
+def raising(machine: Machine, raised: SegmentLimits, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
+    """Return what raises the limits of the axes that may be raised; commands : the file's own in effect."""
+    s, limits = marlin_settings(machine), AxisLimits.even(raised)
+    # E's jerk, so that steps that come and go slow nothing: little enough for a retraction
+    flicker = round(FLICKER_STEPS / (FLICKER_S * extruder_steps_per_mm(machine)), 2)
+    limits = limits._replace(jerk=(*limits.jerk[:3], max(s.jerk_mm_per_s[3], flicker)))
+    return _commands(machine, raised.raised_axes, limits, commands, LONGEST_DEVIATION_MM, 0.0)
 
-    machine: Machine
-    raised: SegmentLimits
 
-    @property
-    def settings(self) -> MarlinSettings:
-        """The planner's settings."""
-        return marlin_settings(self.machine)
+def restoring(machine: Machine, raised: SegmentLimits, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
+    """Return what restores the limits that `raising` raises, the file's own last."""
+    s = marlin_settings(machine)
+    deviation_mm = s.junction_deviation_mm or LONGEST_DEVIATION_MM
+    own = _commands(machine, raised.raised_axes, AxisLimits.of(s), {}, deviation_mm, s.shortest_segment_s)
+    return [*own, *commands.values()]
 
-    def opening(self, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
-        """Return what raises the limits.
 
-        commands : the file's own in effect
-        """
-        limits = AxisLimits.even(self.raised)
-        # E's jerk, so that steps that come and go slow nothing: little enough for a retraction
-        flicker = round(FLICKER_STEPS / (FLICKER_S * extruder_steps_per_mm(self.machine)), 2)
-        limits = limits._replace(jerk=(*limits.jerk[:3], max(self.settings.jerk_mm_per_s[3], flicker)))
-        return self._commands(limits, self._filament(commands), LONGEST_DEVIATION_MM, 0.0)
-
-    def closing(self, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
-        """Return what restores the limits that `opening` raises, the file's own last."""
-        s = self.settings
-        deviation_mm = s.junction_deviation_mm or LONGEST_DEVIATION_MM
-        return [
-            *self._commands(AxisLimits.of(s), self._filament({}), deviation_mm, s.shortest_segment_s),
-            *commands.values(),
-        ]
-
-    def _filament(self, commands: Mapping[str, LimitCommand]) -> set[str]:
-        """Return the commands whose limits of the filament are known, and so can be restored."""
-        keys, stated = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}, self.settings.stated
-        return {c for c, key in keys.items() if key in stated or (c in commands and "E" in commands[c].words)}
-
-    def _commands(
-        self, limits: AxisLimits, filament: set[str], deviation_mm: float, shortest_s: float
-    ) -> list[LimitCommand]:
-        """Return the limits of the axes that may be raised; filament : commands that also set those of E."""
-        axes, settings, delta = self.raised.raised_axes, self.settings, on_delta(self.machine)
-        *others, jerk = limits.commands("M205", axes, axes if delta else axes.replace("Z", ""), filament)
-        words = {"J": deviation_mm} if "junction_deviation_mm" in settings.stated else dict(jerk.words)
-        if settings.slowdown and not delta:
-            words["B"] = 1e6 * shortest_s
-        return [*others, LimitCommand("M205", words)]
+def _commands(
+    machine: Machine,
+    axes: str,
+    limits: AxisLimits,
+    known: Mapping[str, LimitCommand],
+    deviation_mm: float,
+    shortest_s: float,
+) -> list[LimitCommand]:
+    """Return the commands that set limits of axes; those of the filament too where they are known, and so restored."""
+    settings, delta = marlin_settings(machine), on_delta(machine)
+    keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
+    in_file = {code for code in known if "E" in known[code].words}
+    filament = {code for code, key in keys.items() if key in settings.stated or code in in_file}
+    *others, jerk = limits.commands("M205", axes, axes if delta else axes.replace("Z", ""), filament)
+    words = {"J": deviation_mm} if "junction_deviation_mm" in settings.stated else dict(jerk.words)
+    if settings.slowdown and not delta:
+        words["B"] = 1e6 * shortest_s
+    return [*others, LimitCommand("M205", words)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +134,7 @@ class MarlinSegments(Segments):
         self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
     ) -> tuple[FloatArray, SegmentSpeeds]:
         """Return speeds that make Marlin's queue execute each segment in its time."""
-        raised = MarlinLimits(self.machine, self.raised).opening(file.commands)
+        raised = raising(self.machine, self.raised, file.commands)
         row = reduce(row_after, [*file.commands.values(), *raised], self.row)
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]

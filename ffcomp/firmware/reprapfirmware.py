@@ -14,13 +14,13 @@ firmware itself; the assumptions are in docs/explanation/firmware_planners.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.firmware.base import AxisLimits, Firmware
+from ffcomp.firmware.base import AxisLimits, Firmware, Planner
 from ffcomp.firmware.marlin_queue import (
     ACCELERATION,
     COLUMNS,
@@ -34,7 +34,7 @@ from ffcomp.firmware.marlin_queue import (
     TRAVEL,
 )
 from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence
-from ffcomp.planner.limits import Lines, lines_of
+from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import REPRAPFIRMWARE
@@ -89,10 +89,11 @@ class RepRapFirmware(Firmware):
         start = [f'M956 P{chip} S{ceil(lasting_s * FASTEST_HZ)} A0 F"{name}.csv"' for chip in chips]
         return start, [f"G4 P{ceil(1e3 * lasting_s * (FASTEST_HZ / SLOWEST_HZ - 1.0)) + 200}"]
 
-    def planner(self, program: Program, machine: Machine, within: bool = False) -> RepRapFirmwarePlanner:
+    def planner(self, program: Program, machine: Machine, within: bool = False) -> Planner:
         """Return the planner with the settings in force at each line of a program."""
         in_force = SettingsInForce.of(program, machine, settings_row(machine))
-        return RepRapFirmwarePlanner(sharing_of(machine), reprapfirmware_settings(machine).queue_moves, in_force)
+        queue = reprapfirmware_settings(machine).queue_moves
+        return partial(plan_by_axes, in_force=in_force, sharing=sharing_of(machine), queue=queue)
 
     def assumed(self, machine: Machine) -> str:
         """Say which settings are assumed."""
@@ -112,40 +113,27 @@ def sharing_of(machine: Machine) -> int:
     return _BELTS if machine.kinematics.shares_motors else _AXES
 
 
-@dataclass(frozen=True, slots=True)
-class RepRapFirmwarePlanner:
-    """Plans moves of one program."""
+def plan_by_axes(
+    moves: Moves,
+    *,
+    stop_before: BoolArray,
+    wait_before: FloatArray,
+    start_t: float = 0.0,
+    in_force: SettingsInForce,
+    sharing: int,
+    queue: int,
+) -> Trajectory:
+    """Plan moves from rest to rest; other parameters as of `lookahead.plan_moves`.
 
-    sharing: int
-    queue: int  # moves
-    in_force: SettingsInForce
-
-    def __call__(
-        self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
-    ) -> Trajectory:
-        """Plan moves from rest to rest; parameters as of `lookahead.plan_moves`."""
-        check(moves, wait_before)
-        lines = lines_of(moves)
-        rests = stop_before | (wait_before > 0.0)
-        phases = phases_by_axes(lines, moves.speed, self.in_force.at(moves), rests, self.sharing, self.queue)
-        return timed(moves, lines, phases, wait_before, start_t)
-
-
-def phases_by_axes(
-    lines: Lines, speed: FloatArray, settings: Singles, rests: BoolArray, sharing: int, queue: int
-) -> Phases:
-    """Plan n lines from rest to rest.
-
-    speed : (n,) mm/s, requested
-    settings : (n, COLUMNS) in force
-    rests : (n,) the motion comes to rest before the line
-    sharing : of X and Y, `sharing_of`
-    queue : lines that are in sight
+    in_force : the settings at each line;  sharing : of X and Y, `sharing_of`;  queue : lines that are in sight
     """
-    top, acceleration = _bounds(lines.direction, lines.length, speed, settings, sharing)
+    check(moves, wait_before)
+    lines, settings, rests = lines_of(moves), in_force.at(moves), stop_before | (wait_before > 0.0)
+    top, acceleration = _bounds(lines.direction, lines.length, moves.speed, settings, sharing)
     kept, corner = _corners(lines.direction, lines.length, top, settings, rests)
     in_sight = _in_sight(corner, 2.0 * lines.length[kept] * acceleration[kept], queue)
-    return Phases(*phases_from_corners(kept, in_sight, lines.length, top, acceleration, acceleration))
+    phases = phases_from_corners(kept, in_sight, lines.length, top, acceleration, acceleration)
+    return timed(moves, lines, Phases(*phases), wait_before, start_t)
 
 
 @kernel
