@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,66 +32,56 @@ Position = Callable[[FloatArray], FloatArray]  # (m,) s → (m, 3) mm
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples fall evenly between whole numbers, whatever a print repeats
 
 
-@dataclass
-class _Motion:
-    """Samples of one kind of motion, run after run."""
+class SampledSection(NamedTuple):
+    """A section that was simulated."""
 
-    actual: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
-    peak: float = 0.0  # mm/s², of the carriages' commands over one segment
+    lasts_s: float
+    begin: FloatArray  # (3,) mm, the reference at its first knot
+    reference: FloatArray  # (m, 3) mm
+    before: FloatArray  # (m, 3) mm, the nozzle without compensation
+    after: FloatArray  # (m, 3) mm
+    path_t: FloatArray  # (k,) s since its first knot
+    path: FloatArray  # (k, 3) mm
 
 
 @dataclass
 class Samples:
-    """The simulated sections, one after the other."""
+    """The simulated sections of a print or of a part of it."""
 
     sample_s: float
-    clock: float = 0.0  # s
-    covered_s: float = 0.0
-    place: FloatArray = field(default_factory=lambda: np.zeros(3))  # mm, where the last run has ended
-    reference: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
-    path_t: list[FloatArray] = field(default_factory=list)  # s
-    path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
-    before: _Motion = field(default_factory=_Motion)
-    after: _Motion = field(default_factory=_Motion)
+    sections: list[SampledSection] = field(default_factory=list)
+    peaks: tuple[float, float] = (0.0, 0.0)  # mm/s², of the carriages' commands before and after
     pieces: list[Piece] = field(default_factory=list)  # to estimate the error on printers with other parameters
     failed: str = ""  # why nothing is predicted, in a sentence
 
     def __add__(self, later: Samples) -> Samples:
-
-        def moved(points: list[FloatArray]) -> list[FloatArray]:
-            return [each + self.place for each in points]
-
-        before, after = (
-            _Motion(mine.actual + moved(theirs.actual), max(mine.peak, theirs.peak))
-            for mine, theirs in ((self.before, later.before), (self.after, later.after))
-        )
-        return Samples(
-            self.sample_s,
-            clock=self.clock + later.clock,
-            covered_s=self.covered_s + later.covered_s,
-            place=self.place + later.place,
-            reference=self.reference + moved(later.reference),
-            path_t=self.path_t + [each + self.clock for each in later.path_t],
-            path=self.path + moved(later.path),
-            before=before,
-            after=after,
-            pieces=self.pieces + later.pieces,
-            failed=self.failed or later.failed,
-        )
+        peaks = max(self.peaks[0], later.peaks[0]), max(self.peaks[1], later.peaks[1])
+        sections, pieces = self.sections + later.sections, self.pieces + later.pieces
+        return Samples(self.sample_s, sections, peaks, pieces, self.failed or later.failed)
 
     def forecast(self, machine: Machine) -> Forecast:
         """Evaluate the sampled sections of a print for a machine."""
-        if self.failed or not self.reference:
+        if self.failed or not self.sections:
             return Forecast(failed=self.failed)
-        reference = np.concatenate(self.reference)
+        # one after the other in space too: only differences count, and a jump between runs would look like an error
+        place, covered_s, columns = np.zeros(3), 0.0, list[tuple[FloatArray, ...]]()
+        for each in self.sections:
+            shift = place - each.begin
+            moved = (points + shift for points in (each.reference, each.before, each.after, each.path))
+            columns.append((*moved, each.path_t + covered_s))
+            place, covered_s = columns[-1][0][-1], covered_s + each.lasts_s
+        reference, before, after, path, path_t = (np.concatenate(part) for part in zip(*columns, strict=True))
         t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
-        path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
-        seconds, tracks = float(path_t[-1] - path_t[0]), {}
-        for name, motion in zip(WAYS, (self.before, self.after), strict=True):
-            actual = np.concatenate(motion.actual)
-            errors = tracking(reference, actual, self.sample_s), contour_error(path_t, path, t, actual)
-            tracks[name] = build_track(*errors, seconds, motion.peak)
-        return Forecast(tracks, self.covered_s, expected=expectation(machine, self.pieces))
+        tracks = {
+            name: build_track(
+                tracking(reference, actual, self.sample_s),
+                contour_error(path_t, path, t, actual),
+                float(path_t[-1] - path_t[0]),
+                peak,
+            )
+            for name, actual, peak in zip(WAYS, (before, after), self.peaks, strict=True)
+        }
+        return Forecast(tracks, covered_s, expected=expectation(machine, self.pieces))
 
 
 class Prediction:
@@ -105,14 +96,13 @@ class Prediction:
         s = model.settings
         self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
         self.samples = Samples(self.every * s.segment_s / s.substeps)
-        self.seen_s = 0.0
-        self.sections = 0  # that were taken in
+        self.seen_s = self.covered_s = 0.0
         self.ringing: FloatArray | None = None  # the plant without compensation, as the last section has ended
 
     def wants(self, reference: Reference) -> bool:
         """Return whether to sample this section; to be called once for each."""
         length = reference.knots * self.model.settings.segment_s
-        due = self.samples.covered_s <= self.share * self.seen_s
+        due = self.covered_s <= self.share * self.seen_s
         self.seen_s += length
         return due and not self.samples.failed
 
@@ -127,13 +117,8 @@ class Prediction:
         model, s, samples, every = self.model, self.model.settings, self.samples, self.every
         reference, result = solved.reference, solved.solution
         length = reference.knots * s.segment_s
-        samples.covered_s += length
+        self.covered_s += length
         nozzle, velocity = reference.substeps(0, reference.knots)
-        # one after the other in space too: only differences count, and a jump between runs would look like an error
-        shift = samples.place - nozzle[0]
-        samples.reference.append(nozzle[every::every] + shift)
-        samples.place = samples.reference[-1][-1]
-        self._add_path(reference, shift)
         if self.ringing is None or solved.rest_s is None:
             state = model.machine.equilibrium(nozzle[0])
         else:
@@ -144,11 +129,15 @@ class Prediction:
         plain, ringing = model.plant.respond(by_slicer, velocity, state, s.substeps)
         solved_for, executed = self._commands(solved, written)
         response = result.response + self._joining(solved, nozzle, solved_for, executed)
-        for motion, actual, command in ((samples.before, plain, by_slicer), (samples.after, response, executed)):
-            motion.actual.append(actual[every - 1 :: every] + shift)
-            motion.peak = max(motion.peak, peaks(model.kinematics.inverse(command), self._step_s)[1])
+        due, corners = reference.path()
+        # by rounding a path may end after its last knot, where the next run begins
+        path_t = np.clip(due - reference.t0, 0.0, length)
+        at = slice(every - 1, None, every)
+        sampled = SampledSection(length, nozzle[0], nozzle[every::every], plain[at], response[at], path_t, corners)
+        samples.sections.append(sampled)
+        speeds_up = [peaks(model.kinematics.inverse(each), self._step_s)[1] for each in (by_slicer, executed)]
+        samples.peaks = max(samples.peaks[0], speeds_up[0]), max(samples.peaks[1], speeds_up[1])
         samples.pieces += self._pieces(solved, sliced, executed)
-        samples.clock += length
         return ringing
 
     def _sliced(self, reference: Reference) -> Position:
@@ -162,8 +151,7 @@ class Prediction:
         reference = solved.reference
         times = reference.t0 + self._step_s * np.arange(len(executed), dtype=np.float64)
         share = EXCERPT_S / LONGEST_S * max(self.share, 1.0)
-        self.sections += 1
-        lot = GOLDEN * self.sections % 1.0
+        lot = GOLDEN * len(self.samples.sections) % 1.0
         path = path_corners_with_rests(solved.trajectory)
         return pieces_of_segments(sliced, times, executed, path, share, lot)
 
@@ -195,10 +183,3 @@ class Prediction:
         q, _ = model.plant.play(place, still, added, at_rest, s.substeps)
         response = solved.solution.response
         return kinematics.forward(kinematics.inverse(response) + q) - response
-
-    def _add_path(self, reference: Reference, shift: FloatArray) -> None:
-        due, corners = reference.path()
-        self.samples.path.append(corners + shift)
-        # by rounding a path may end after its last knot, where the next run begins
-        length = reference.knots * self.model.settings.segment_s
-        self.samples.path_t.append(self.samples.clock + np.clip(due - reference.t0, 0.0, length))
