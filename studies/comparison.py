@@ -164,8 +164,8 @@ def _executed(
     for each in slices:
         motion, _ = method.motion(each)
         within = within and within_limits(*motion.peaks(each.machine), each.machine)
-        t, nozzles = simulate_nozzles(plants, motion, each.machine)
-        for own, nozzle in zip(found, nozzles, strict=True):
+        played = simulate_nozzles(plants, [motion], each.machine)
+        for own, (t, nozzle) in zip(found, played, strict=True):
             own.append(Execution(each, motion, t, nozzle))
     return found, within
 

@@ -20,7 +20,7 @@ from ffcomp.comparison.sampling import SETTLE_S, PrintSlice
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track, Tracking, build_track, contour_error, contour_statistics, end_to_end, rms, tracking
 from ffcomp.simulation.command import Motion
-from ffcomp.simulation.playback import JOBS, SAMPLE_S, side_by_side, simulate_side_by_side
+from ffcomp.simulation.playback import JOBS, SAMPLE_S, side_by_side, simulate_nozzles
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
@@ -155,7 +155,7 @@ Piece = tuple[PrintSlice, Motion]
 def execute(
     plant: Machine, pieces: Sequence[Piece], what: str, progress: Progress, *, coarse: bool = False
 ) -> list[Execution]:
-    """Execute every piece from rest, in the order of the pieces; coarse as `simulate_side_by_side` is."""
+    """Execute every piece from rest, in the order of the pieces; coarse as `simulate_nozzles` is."""
     groups = side_by_side([motion for _, motion in pieces])
     tasks = [partial(_together, plant, [pieces[k] for k in group], coarse) for group in groups]
     executed: dict[int, Execution] = {}
@@ -166,5 +166,5 @@ def execute(
 
 def _together(plant: Machine, pieces: Sequence[Piece], coarse: bool) -> list[Execution]:
     believed = pieces[0][0].machine
-    played = simulate_side_by_side(plant, [motion for _, motion in pieces], believed, coarse=coarse)
+    played = simulate_nozzles([plant], [motion for _, motion in pieces], believed, coarse=coarse)
     return [Execution(*piece, t, nozzle) for piece, (t, nozzle) in zip(pieces, played, strict=True)]

@@ -132,56 +132,41 @@ def levelled(plant: Machine, nozzle: FloatArray) -> FloatArray:
 
 
 def simulate_nozzles(
-    plants: Sequence[Machine], motion: Motion, believed: Machine, threads: int = JOBS
-) -> tuple[FloatArray, list[FloatArray]]:
-    """Execute one motion on every plant, from rest, by threads that share them.
-
-    Returns times (m,) s on the motion's clock, SAMPLE_S apart, and each plant's levelled nozzle (m, 3) mm.
-
-    believed : the machine whose inverse kinematics the firmware uses
-    """
-    rows, command = _row_count(motion), _command(motion, believed)
-    parts_of: list[list[FloatArray]] = [[] for _ in plants]
-    for _, motions in playback.play(plants, command, rows + 1, ROW_S, **_options(len(plants), threads)):
-        for into, each in zip(parts_of, motions, strict=True):
-            into.append(each.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
-    return _times(motion), [
-        levelled(plant, np.concatenate(each_parts)) for plant, each_parts in zip(plants, parts_of, strict=True)
-    ]
-
-
-def simulate_side_by_side(
-    plant: Machine, motions: Sequence[Motion], believed: Machine, *, coarse: bool = False
+    plants: Sequence[Machine], motions: Sequence[Motion], believed: Machine, *, coarse: bool = False
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Execute several motions, each from rest on a printer of its own, which take little longer than one.
+    """Execute motions side by side, each from rest on a printer of its own, which takes little longer than one.
 
-    Returns times and nozzle of each, as of `simulate_nozzles`.
+    Returns times (m,) s on each motion's clock, SAMPLE_S apart, and the levelled nozzle (m, 3) mm.
 
     Parameters
     ----------
-    motions : at best LANES of them, of about the same length
+    plants, motions : one for all, or one for each; at best LANES motions of about the same length
     believed : the machine whose inverse kinematics the firmware uses
     coarse : with longer rows, as a search needs; printers that are not smooth keep the short ones
     """
-    printer = converted_printer(plant)
-    smooth = longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S  # one step a row is enough
-    longer = COARSE if coarse and smooth else 1
-    row_s, keep_every = longer * ROW_S, KEEP_EVERY // longer
-    counts = [_row_count(motion) // longer for motion in motions]
-    parts_of: list[list[FloatArray]] = [[] for _ in motions]
+    longer = COARSE if coarse and all(map(_is_smooth, plants)) else 1
+    row_s, keep_every, pairs = longer * ROW_S, KEEP_EVERY // longer, max(len(plants), len(motions))
     commands = [_command(motion, believed, row_s) for motion in motions]
-    plants, options = [plant] * len(motions), _options(len(motions), 1)
-    if longer > 1:
-        options["substeps"] = 1
-    for first, played in playback.play(plants, commands, max(counts) + 1, row_s, **options):
+    plants, motions = list(plants) * (pairs // len(plants)), list(motions) * (pairs // len(motions))
+    counts = [_row_count(motion) // longer for motion in motions]
+    chunk_rows = max(min(8 * MOST_ROWS // pairs, MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
+    how: Any = {"hold": "linear", "chunk_rows": chunk_rows, "substeps": 1 if longer > 1 else None}
+    parts_of: list[list[FloatArray]] = [[] for _ in motions]
+    for first, played in playback.play(plants, commands, max(counts) + 1, row_s, **how):
         for into, each, count in zip(parts_of, played, counts, strict=True):
             into.append(each.nozzle_mm[keep_every : max(count - first, 0) + 1 : keep_every])
-    nozzles = [levelled(plant, np.concatenate(each_parts)) for each_parts in parts_of]
+    nozzles = [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, parts_of, strict=True)]
     return list(zip(map(_times, motions), nozzles, strict=True))
 
 
+def _is_smooth(plant: Machine) -> bool:
+    """Return whether one step a row is enough."""
+    printer = converted_printer(plant)
+    return longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S
+
+
 def side_by_side(motions: Sequence[Motion]) -> list[list[int]]:
-    """Group motions, by their numbers, for `simulate_side_by_side`: as many as go at once, of about the same length."""
+    """Group motions, by their numbers, for `simulate_nozzles`: as many as go at once, of about the same length."""
     order = sorted(range(len(motions)), key=lambda k: motions[k].end_t - motions[k].begin_t)
     return [order[k : k + LANES] for k in range(0, len(order), LANES)]
 
@@ -199,11 +184,6 @@ def _command(motion: Motion, believed: Machine, row_s: float = ROW_S) -> Callabl
     return lambda first, last: actuators(
         np.minimum(motion.begin_t + row_s * np.arange(first, last, dtype=np.float64), motion.end_t)
     )
-
-
-def _options(printers: int, threads: int) -> dict[str, Any]:
-    chunk_rows = max(min(8 * MOST_ROWS // printers, MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
-    return {"hold": "linear", "chunk_rows": chunk_rows, "threads": threads}
 
 
 def check_same_kinematics(machine: Machine, plant: Machine) -> None:

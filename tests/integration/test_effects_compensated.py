@@ -39,7 +39,7 @@ command_once = cache(command)  # of a file that several plants are played with
 
 def contour_rms_um(believed: Machine, plant: Machine, text: bytes = squares(1)) -> float:
     stretch, motion = command_once(believed, text) if believed is MACHINE else command(believed, text)
-    t, (nozzle,) = simulate_nozzles([plant], motion, believed)
+    ((t, nozzle),) = simulate_nozzles([plant], [motion], believed)
     return float(1e3 * np.sqrt(np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2)))
 
 

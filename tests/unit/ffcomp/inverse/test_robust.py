@@ -106,8 +106,8 @@ def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None
     means = []
     for name in (COMPENSATED, ROBUST):
         motion, _ = inversion(believed, finely_joined(believed), name).motion(stretch)
-        t, nozzles = simulate_nozzles(plants, motion, believed)
-        squared = [np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
+        played = simulate_nozzles(plants, [motion], believed)
+        squared = [np.mean(contour([Execution(stretch, motion, *each)]) ** 2) for each in played]
         means.append(float(np.mean(squared)))
         np.testing.assert_allclose(motion.position(np.array([motion.end_t]))[0], stretch.corners[1][-1], atol=2e-4)
     assert means[1] < 0.55 * means[0]
@@ -129,8 +129,8 @@ def test_at_twenty_percent_the_best_shaper_leaves_more() -> None:
     means = []
     for way in ways:
         motion, _ = way.motion(stretch)
-        t, nozzles = simulate_nozzles(plants, motion, believed)
-        means.append(np.mean([rms(contour([Execution(stretch, motion, t, nozzle)])) for nozzle in nozzles]))
+        played = simulate_nozzles(plants, [motion], believed)
+        means.append(np.mean([rms(contour([Execution(stretch, motion, *each)])) for each in played]))
     assert means[-1] < min(means[:-1])
 
 

@@ -35,7 +35,7 @@ def test_the_independent_plant_says_the_same(name: str) -> None:
     case = judge.part(name)
     machine, corners = case.original.machine, case.original.corners
     for motion in (case.original.motion, segments_motion(case.segments)):
-        t, (nozzle,) = simulate_nozzles([machine], motion, machine)
+        ((t, nozzle),) = simulate_nozzles([machine], [motion], machine)
         other_t, other = judge.play(case.original.plant, motion)
         inside = (other_t > t[0]) & (other_t < t[-1])
         apart = np.linalg.norm(CubicSpline(t, nozzle)(other_t) - other, axis=1)[inside]
@@ -57,8 +57,8 @@ def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     motion = planned_motion(trajectory)
     short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
     stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
-    _, (alone,) = simulate_nozzles([MACHINE], short, MACHINE)
+    ((_, alone),) = simulate_nozzles([MACHINE], [short], MACHINE)
     monkeypatch.setattr("ffcomp.simulation.playback.MOST_ROWS", 1000)
-    _, (first, second) = simulate_nozzles([MACHINE, stiff], short, MACHINE)
+    (_, first), (_, second) = simulate_nozzles([MACHINE, stiff], [short], MACHINE)
     np.testing.assert_allclose(first, alone, atol=1e-9)
     assert np.abs(second - alone).max() > 1e-3
