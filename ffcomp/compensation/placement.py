@@ -18,7 +18,6 @@ from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.program import Program
 from models.arrays import FloatArray
-from models.compiled import kernel
 from models.kinematics.base import SLACK_MM, Kinematics
 from models.machine import Machine
 
@@ -63,28 +62,11 @@ def footprint_of(programs: Iterable[Program]) -> Footprint | None:
 
 
 def _enclosing(known: FloatArray, more: FloatArray) -> FloatArray:
+    """Return the corners of the convex hull of points, (k, 2); of points on a line its ends are among them."""
+    from scipy.spatial import ConvexHull
+
     points = np.unique(np.concatenate([known, more]), axis=0)
-    return points if len(points) < 4 else np.asarray(_hull(points))
-
-
-@kernel
-def _hull(points: FloatArray) -> FloatArray:
-    """Return the corners of the convex hull of points (n, 2) in the order of x, then y: Andrew's monotone chain."""
-    n = len(points)
-    corners, count, least = np.empty((2 * n, 2)), 0, 1
-    for turn in range(2):  # below from left to right, then above from right to left
-        for k in range(1 if turn else 0, n):
-            at = n - 1 - k if turn else k
-            while count > least:
-                ax, ay = corners[count - 1, 0] - corners[count - 2, 0], corners[count - 1, 1] - corners[count - 2, 1]
-                bx, by = points[at, 0] - corners[count - 2, 0], points[at, 1] - corners[count - 2, 1]
-                if ax * by - ay * bx > 0.0:
-                    break
-                count -= 1
-            corners[count, 0], corners[count, 1] = points[at, 0], points[at, 1]
-            count += 1
-        least = count
-    return corners[: count - 1].copy()
+    return points if len(points) < 4 else np.asarray(points[ConvexHull(points, qhull_options="QJ").vertices])
 
 
 def place_print(source: Source, path: str, machine: Machine, flavor: str) -> Placement:
