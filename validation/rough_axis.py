@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from models.arrays import FloatArray
+from validation.blind.real import toml_of
 
 STEP_S, SECONDS, RUNS = 5e-5, 10.0, ("fit-a", "fit-b", "test-c")
 DRY = ("coulomb_friction", "stribeck_friction", "bristle_friction")
@@ -104,11 +105,8 @@ def write_case(seed: int, kind: str, folder: Path) -> None:
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
-    dt, inertia, hertz = (
-        1 / float(rng.choice([200, 250, 500, 1000])),
-        float(np.exp(rng.uniform(-4.6, 3.0))),
-        between(0.5, 2),
-    )
+    dt, inertia = 1 / float(rng.choice([200, 250, 500, 1000])), float(np.exp(rng.uniform(-4.6, 3.0)))
+    hertz = between(0.5, 2)
     hertz = 0.3 if kind == "cogging" else hertz
     swing = between(0.4, 1.6) / max(hertz, 1.0)
     speed = np.pi * hertz * swing
@@ -123,25 +121,13 @@ def write_case(seed: int, kind: str, folder: Path) -> None:
     lines = between(0.1, 0.25) * force if kind == "cogging" else 0.0
     drag = between(0.8, 2.5) * viscous / fastest if kind == "drag" else 0.0
     even = 0.3 if kind == "nothing" else 1.0
-    p = np.array(
-        [
-            *(
-                inertia,
-                viscous,
-                dry,
-                between(0, 0.5) * dry,
-                between(0.005, 0.03) * fastest,
-                between(0.02, 0.2) * fastest,
-            ),
-            *(even * between(-0.15, 0.15), even * between(-0.15, 0.15), even * between(0, 0.15)),
-            *(weight, lines, float(rng.choice([7, 12, 21, 42])), drag, between(0.1, 0.35) if kind == "loaded" else 0.0),
-            *(
-                (0.0,) * 4
-                if free
-                else (stiff, 1.4 * np.sqrt(stiff * inertia), between(0.7, 1) * inertia, between(0, 0.02))
-            ),
-        ]
-    )
+    rubs = [dry, between(0, 0.5) * dry, between(0.005, 0.03) * fastest, between(0.02, 0.2) * fastest]
+    rubs += [even * between(low, 0.15) for low in (-0.15, -0.15, 0.0)]
+    pulls = [weight, lines, float(rng.choice([7, 12, 21, 42])), drag, between(0.1, 0.35) if kind == "loaded" else 0.0]
+    servo = [0.0] * 4
+    if not free:
+        servo = [stiff, 1.4 * np.sqrt(stiff * inertia), between(0.7, 1) * inertia, between(0, 0.02)]
+    p = np.array([inertia, viscous, *rubs, *pulls, *servo])
     load, coupled = _load(np.random.default_rng([seed, 978]), kind, inertia, force)
     folder.mkdir(parents=True, exist_ok=True)
     digit, noise, scale = between(2e-5, 3e-4) * swing, between(0.002, 0.02) * force, between(0.97, 1.03)
@@ -160,22 +146,16 @@ def write_case(seed: int, kind: str, folder: Path) -> None:
         table = np.column_stack(columns)
         np.savetxt(folder / f"{name}.csv", table, fmt="%.8g", delimiter=",", header=head, comments="")
     known = {"pendulum_gravity": weight} if free or kind == "loaded" else {}
-    known |= (
-        {"coulomb_friction": dry * between(0.95, 1.05)}
-        if kind in ("cogging", "nothing", "outside", "soft", "gap")
-        else {}
-    )
-    off = 0.02 if free else 0.2
-    (folder / "machine.toml").write_text(
-        f'format = "ffcomp-machine/1"\nname = "{folder.name}"\n\n[kinematics]\ntype = "axis"\n\n'
-        f'[axis]\nunit = "rad"\ninput = "force"\ninertia_kg_m2 = {inertia * np.exp(off * rng.normal()):.5g}\n'
-        f"stiffness_n_m_per_rad = 0.0\ndamping_n_m_s_per_rad = {viscous * np.exp(0.3 * rng.normal()):.5g}\n"
-        + "".join(f"{name} = {x:.5g}\n" for name, x in coupled.items())
-        + "\n"
-        + "".join(f"[effects.{name}]\ntorque_n_m = {x:.5g}\n\n" for name, x in known.items())
-        + f'[uncertainty]\n"axis.inertia_kg_m2" = {0.05 if free else 0.5}\n"axis.damping_n_m_s_per_rad" = 1.0\n'
-        + "".join(f'"axis.{name}" = {0.5 if "damping" in name else 0.05}\n' for name in coupled)
-    )
+    if kind in ("cogging", "nothing", "outside", "soft", "gap"):
+        known["coulomb_friction"] = dry * between(0.95, 1.05)
+    axis = {"unit": "rad", "input": "force", "stiffness_n_m_per_rad": 0.0, **coupled}
+    axis["inertia_kg_m2"] = inertia * np.exp((0.02 if free else 0.2) * rng.normal())
+    axis["damping_n_m_s_per_rad"] = viscous * np.exp(0.3 * rng.normal())
+    sd = {"axis.inertia_kg_m2": 0.05 if free else 0.5, "axis.damping_n_m_s_per_rad": 1.0}
+    sd |= {f"axis.{name}": 0.5 if "damping" in name else 0.05 for name in coupled}
+    effects = {name: {"torque_n_m": x} for name, x in known.items()}
+    tables = {"kinematics": {"type": "axis"}, "axis": axis, "effects": effects, "uncertainty": sd}
+    (folder / "machine.toml").write_text(toml_of(tables, folder.name))
     (folder / "truth.json").write_text(json.dumps({"kind": kind, "right": TRUTH[kind], "numbers": p.tolist()}))
 
 

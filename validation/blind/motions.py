@@ -109,12 +109,7 @@ def turns(rng: np.random.Generator, place: Place, seconds: float, loudness: floa
 
 
 KINDS: Mapping[str, Callable[..., Path]] = {
-    "multisine": multisine,
-    "infill": infill,
-    "steps": steps,
-    "slow": slow,
-    "strokes": strokes,
-    "turns": turns,
+    each.__name__: each for each in (multisine, infill, steps, slow, strokes, turns)
 }
 
 

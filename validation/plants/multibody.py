@@ -32,6 +32,7 @@ from scipy.signal import StateSpace, lsim
 from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.substructures import Drive
+from validation.plants import straight_plant
 
 FloatArray = NDArray[np.float64]
 
@@ -78,15 +79,6 @@ class Multibody:
     def carriages_at(self) -> list[int]:
         """Where q_A, q_B, q_C stand in `qpos`."""
         return [int(self.model.joint(f"q_{tower}").qposadr[0]) for tower in "ABC"]
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """n + 1 samples, a step apart, the first at rest."""
-
-    t_s: FloatArray  # (n + 1,)
-    nozzle_mm: FloatArray  # (n + 1, 3) columns X Y Z
-    carriage_mm: FloatArray  # (n + 1, 3) columns A B C
 
 
 # ---- the machine's parts as MuJoCo reads them ----------------------------------------------------
@@ -161,7 +153,7 @@ def _carriage(machine: Machine, tower: str, rods: list[Rod], choice: Choice) -> 
     axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping)
     middle = np.mean([rod.upper_m for rod in rods], axis=0)
     yield f"<body name='carriage_{tower}' pos='{_row(middle)}'>{axis}"
-    yield f"<inertial pos='0 0 0' mass='{carriage.mass_kg}' diaginertia='{LIGHT}'/>"
+    yield _mass(carriage.mass_kg)
     for rod in rods:
         yield from _rod(rod, middle, choice)
     yield "</body>"
@@ -195,12 +187,16 @@ def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choic
     yield f"<body name='extruder' pos='{centre}'>"
     mount = zip("xyz", effector.extruder_stiffness_n_per_m, effector.extruder_damping_n_s_per_m, strict=True)
     yield from (_sprung(axis, f"eta_{axis}", k, b) for axis, k, b in mount)
-    yield f"<inertial pos='0 0 0' mass='{effector.extruder_mass_kg}' diaginertia='{LIGHT}'/></body></body>"
+    yield f"{_mass(effector.extruder_mass_kg)}</body></body>"
 
 
 def _sprung(axis: str, name: str, stiffness: float, damping: float) -> str:
     direction = _row(np.eye(3)["xyz".index(axis)])
     return f"<joint name='{name}' type='slide' axis='{direction}' stiffness='{stiffness}' damping='{damping}'/>"
+
+
+def _mass(kg: float) -> str:
+    return f"<inertial pos='0 0 0' mass='{kg}' diaginertia='{LIGHT}'/>"
 
 
 def _row(values: FloatArray) -> str:
@@ -245,8 +241,10 @@ def _acceleration(model: Any, data: Any) -> FloatArray:
 # ---- motion --------------------------------------------------------------------------------------
 
 
-def play(machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: float, choice: Choice) -> Answer:
-    """Play a command from rest, as `simulate_printer` does.
+def play(
+    machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: float, choice: Choice
+) -> tuple[FloatArray, FloatArray]:
+    """Play a command from rest, as `simulate_printer` does: nozzle and carriages, (n + 1, 3) mm, at each step.
 
     Parameters
     ----------
@@ -259,8 +257,9 @@ def play(machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: 
     start = np.concatenate([[0.0], data.qpos, data.qvel])
     states, _ = rollout.rollout(printer.model, data, start[None], force[None])
     qpos = np.vstack([start[1 : 1 + printer.model.nq], states[0, :, 1 : 1 + printer.model.nq]])
-    t = printer.model.opt.timestep * np.arange(len(qpos))
-    return Answer(t, _nozzle_mm(printer, qpos), _carriages_mm(printer, qpos))
+    at = slice(printer.nozzle_at, printer.nozzle_at + 3)
+    nozzle = 1e3 * (printer.home_m + qpos[:, at] - printer.model.qpos0[at])
+    return nozzle, 1e3 * (printer.home_q_m + qpos[:, printer.carriages_at])
 
 
 def _motor_force(printer: Multibody, told: FloatArray, dt_s: float) -> FloatArray:
@@ -287,10 +286,32 @@ def _drive(drive: Drive) -> StateSpace:
     return StateSpace([[0, 1], [-d0, -d2]], [[0], [1]], [[d0, d1], [-d0 * d1, d0 - d1 * d2]], [[0], [d1]])
 
 
-def _nozzle_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
-    at = slice(printer.nozzle_at, printer.nozzle_at + 3)
-    return 1e3 * (printer.home_m + qpos[:, at] - printer.model.qpos0[at])
+# ---- straight axes -------------------------------------------------------------------------------
 
 
-def _carriages_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
-    return 1e3 * (printer.home_q_m + qpos[:, printer.carriages_at])
+def play_straight(plant: straight_plant.Plant, command_mm: FloatArray, rate_hz: float) -> FloatArray:
+    """Play x and y, (n, 2) mm with straight lines between, on carriages that slide, with tools; belts are tendons.
+
+    Returns (n, 2) mm, where the tools are. Without what `plant` has beside masses, springs and dampers.
+    """
+    bodies, belts = "", ""
+    for i, axis in enumerate("xy"):
+        mount = _sprung(axis, f"tool_{axis}", plant.mount_n_per_m[i], plant.mount_n_s_per_m[i])
+        bodies += f"<body>{_sprung(axis, axis, 0.0, plant.guide_n_s_per_m[i])}{_mass(plant.carriage_kg[i])}"
+        bodies += f"<body>{mount}{_mass(plant.tool_kg[i])}</body></body>"
+        of = f"stiffness='{plant.belt_n_per_m[i]}' damping='{plant.belt_n_s_per_m[i]}'"
+        ends = (f"<joint joint='{a}' coef='{c}'/>" for a, c in zip("xy", plant.motors[i], strict=True))
+        belts += f"<fixed name='{i}' springlength='0' {of}>{''.join(ends)}</fixed>"
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><option timestep='{STEP_S / 2!r}' gravity='0 0 0' integrator='RK4'/><worldbody>{bodies}</worldbody>"
+        f"<tendon>{belts}</tendon><actuator><motor tendon='0'/><motor tendon='1'/></actuator></mujoco>"
+    )
+    every = round(2 / rate_hz / STEP_S)
+    at = (np.arange(every * (len(command_mm) - 1)) + 0.5) / every  # in rows, in the middle of each step
+    line, motors = np.diff(command_mm, axis=0)[at.astype(int)], np.array(plant.motors).T / 1e3
+    told, speed = (command_mm[at.astype(int)] + (at % 1.0)[:, None] * line) @ motors, rate_hz * line @ motors
+    force = told * plant.belt_n_per_m + speed * plant.belt_n_s_per_m
+    start = np.zeros((1, 1 + model.nq + model.nv))
+    states, _ = rollout.rollout(model, mujoco.MjData(model), start, force[None])
+    qpos = np.vstack([start[0, 1 : 1 + model.nq], states[0, every - 1 :: every, 1 : 1 + model.nq]])
+    return 1e3 * (qpos[:, ::2] + qpos[:, 1::2])

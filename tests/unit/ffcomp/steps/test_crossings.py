@@ -59,23 +59,6 @@ UP = np.array([0.0, 0.0, 1.0, 0.0])
 ORIGIN = np.array([3.0, -5.0, 20.0, 0.0])
 
 
-def test_a_carriage_turns_where_the_nozzle_passes_its_tower() -> None:
-    """h = √(L² − r² − (v t)²) along a line across the tower's foot: up to t = 0 and down again, mirrored."""
-    foot = GEOMETRY.towers_mm[0]
-    outward = foot / np.linalg.norm(foot)
-    across = np.array([-outward[1], outward[0], 0.0, 0.0])
-    nearest = np.array([*(0.5 * foot), 20.0, 0.0])
-    reach, speed = 50.0, 80.0
-    tick, way, _ = steps(path(nearest - reach * across, (across, speed, 0.0, 2 * reach / speed)))
-    arm, away = GEOMETRY.arm_lengths_mm[0], np.linalg.norm(foot) / 2
-    lowest, highest = np.sqrt(arm**2 - away**2 - reach**2), np.sqrt(arm**2 - away**2)
-    borders = lowest + (np.arange(int((highest - lowest) / STEP_MM + 0.5)) + 0.5) * STEP_MM
-    before = np.sqrt(arm**2 - away**2 - borders**2) / speed
-    expected = (reach / speed + np.concatenate([-before, before[::-1]])) * CLOCK_HZ
-    assert np.abs(tick - expected).max() <= 0.51
-    assert np.array_equal(way, np.repeat([1, -1], len(borders)))
-
-
 def test_at_rest_nothing_steps() -> None:
     """Standing for 10 s delays what comes after it, and standing on a border never flutters."""
     half_step = STEP_MM / 2

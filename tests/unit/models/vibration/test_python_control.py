@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -123,9 +122,3 @@ def test_machines_agree_with_one_matrix_exponential_a_position(name: str, step_s
         (found.b_centripetal, whole[..., n + 6 :]),
     ):
         np.testing.assert_allclose(each, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max(initial=1e-9))
-
-
-def test_without_python_control_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(ImportError, match=r"pip install 'ffcomp\[control\]'"):
-        load_machine("mp-delta-pro").vibration.to_control(np.zeros(2))
