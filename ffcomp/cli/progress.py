@@ -91,7 +91,7 @@ class Progress:
         return True
 
     def left_s(self, done_s: float) -> float | None:
-        """Return the time left by the pace of the last reports, without compilation; None: no steady pace yet."""
+        """Return the time left by the pace of the last reports, without compilation; None: unknown, or done."""
         now = time.monotonic()
         since, before = self.last or (now, done_s)
         if done_s > before:
@@ -101,7 +101,7 @@ class Progress:
         usual = median_low([took / work for took, work in self.recent] or [0.0])
         steady = [(took, work) for took, work in self.recent if took <= STALL * usual * work]
         took, work = map(sum, zip(*steady, strict=True)) if steady else (0.0, 0.0)
-        return None if took < STEADY_S else took / work * max(self.total_s - done_s, 0.0)
+        return None if took < STEADY_S or done_s >= self.total_s else took / work * (self.total_s - done_s)
 
     def __call__(self, done_s: float) -> None:
         """Show how much is done."""
