@@ -156,8 +156,8 @@ _KINDS = {
     "a change of tool or filament": re.compile(r"T(-?\d+|\?)|M70[12]|ACTIVATE_EXTRUDER"),
     "retraction by the firmware": re.compile(r"G1[01]"),
 }
-_MACRO = "a macro or a command not known"
-_FROM_NOWHERE = "a move from a place not known"
+_MACRO = "a macro or an unknown command"
+_FROM_NOWHERE = "a move from an unknown position"
 
 
 @dataclass(slots=True)

@@ -127,6 +127,24 @@ def _for_dark_screens(content: bytes) -> bytes:
     return content.replace(b"<defs>", f"<defs>{style}".encode(), 1)
 
 
+COLUMN, PANEL = 4.6, 3.9  # inches: as wide as a phone; a panel's height
+MOST_PANELS = 8  # in a column
+
+
+def column(figure: Figure) -> Figure:
+    """Stack a figure's panels for a narrow screen, with short legends; a figure of very many stays as it is."""
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]  # a colour bar has none
+    if len(panels) <= MOST_PANELS:
+        rows = figure.add_gridspec(len(panels), 1)
+        for row, axes in enumerate(panels):
+            axes.set_subplotspec(rows[row])
+        figure.set_size_inches(COLUMN, PANEL * len(panels))
+        figure.supxlabel("")
+        for text in [text for legend in figure.legends for text in legend.get_texts()]:
+            text.set_text(text.get_text().partition(":")[0])
+    return figure
+
+
 def figure_of(drawing: Drawing) -> Figure:
     """Draw the figure as a file has it: the title and the finding stand above it."""
     with matplotlib.rc_context(RC):

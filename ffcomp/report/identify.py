@@ -5,9 +5,8 @@ Blue is the model and dark the measurement, as everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from textwrap import fill
 from typing import Any
 
@@ -22,7 +21,7 @@ from ffcomp.identification.direct import Identified
 from ffcomp.identification.frf_study import View, study
 from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit, ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
+from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, plain_decades
 from ffcomp.report.page import Page, Section, plain
 from ffcomp.shapers.calibration import klipper_block
 from ffcomp.version import __version__
@@ -36,13 +35,11 @@ DOTS: dict[str, Any] = {"color": REFERENCE, "markersize": 3, "alpha": 0.55, "mar
 
 def figure_of(fit: MachineFit) -> Figure:
     """Draw the measurements and the fitted model; RequestError where they hold nothing that is drawn."""
-    match fit:
-        case ScanFit():
-            return page_figure(fit)
-        case ParametersFit():
-            return three_panels(fit.name, fit.headline, panels_of(fit.result), klipper_block(fit.shapers))
-        case AxesFit():
-            return three_panels(fit.name, fit.headline, _panels_of_axes(fit), klipper_block(fit.shapers), fit.belts)
+    if isinstance(fit, ScanFit):
+        return page_figure(fit)
+    if isinstance(fit, ParametersFit | AxesFit):
+        panels = panels_of(fit.result) if isinstance(fit, ParametersFit) else _panels_of_axes(fit)
+        return three_panels(fit.name, fit.headline, panels, klipper_block(fit.shapers), fit.belts)
     if fit.belts is None:
         raise RequestError("These data hold no frequency responses to draw (see: --plan).")
     return belts_figure(fit.belts, fit.name)
@@ -78,44 +75,20 @@ class Panels:
     modes: Sequence[Mode]
     every: Sequence[Trace]
 
-    def draw(self, response: Axes, modes: Axes, residual: Axes) -> None:
-        """Draw all three."""
-        _responses(response, self.shown)
-        _modes(modes, self.modes)
-        _residuals(residual, self.every)
-
-    def drawings(self) -> list[Drawing]:
-        """Return them one by one, for a page."""
-        each: list[tuple[str, Callable[[Axes, Any], None], Any]] = [
-            ("Measured (dots) and fitted, where the fit is worst", _responses, self.shown),
-            ("Modes", _modes, self.modes),
-            (f"Residual of {len(self.every)} responses", _residuals, self.every),
-        ]
-        return [Drawing("", title, "", "", 4.6, 3.4, partial(_alone, draw, of)) for title, draw, of in each]
-
-
-def _alone(draw: Callable[[Axes, Any], None], of: Any, box: Box) -> None:
-    axes = box.subplots()
-    draw(axes, of)
-    axes.set_title("")  # the page has it
-
 
 def page_of(fit: MachineFit) -> Page:
-    """Return the page of a fit: the three panels, and settings of an input shaper to copy."""
-    if isinstance(fit, ParametersFit):
-        drawings = panels_of(fit.result).drawings()
-    elif isinstance(fit, AxesFit):
-        drawings = _panels_of_axes(fit).drawings()
-    elif isinstance(fit, ScanFit) or fit.belts is not None:
+    """Return the page of a fit: its panels, and settings of an input shaper to copy."""
+    sections, has_panels = list[Section](), isinstance(fit, ParametersFit | AxesFit)
+    if isinstance(fit, ScanFit) or (fit.belts is not None and not has_panels):
         return replace(plain(fit), title=fit.name)
-    else:
-        return Page(fit.name, [f"method {fit.method}"], answer=replace(fit, output=None).answer)
-    if fit.belts is not None:
-        draw = partial(_alone, belts_panel, fit.belts)
-        drawings.append(Drawing("", "Belts", fit.belts.sentence.partition(". ")[0], "", 4.6, 3.4, draw))
-    sections = [Section("The fit", drawings=drawings)]
+    if has_panels:
+        figure = figure_of(fit)
+        figure.suptitle("")
+        figure.supxlabel("")
+        sections.append(Section("The fit", figures=[figure]))
     if block := klipper_block(fit.shapers):
-        sections.append(Section("If you stay with an input shaper", sentences=["Paste into printer.cfg:"], code=block))
+        text = ["Paste into printer.cfg:"]
+        sections.append(Section("If you stay with an input shaper", sentences=text, code=block))
     return Page(fit.name, [f"method {fit.method}"], sections, replace(fit, output=None).answer)
 
 
@@ -151,19 +124,15 @@ def _panels_of_axes(fit: AxesFit) -> Panels:
 def three_panels(
     name: str, headline: str, panels: Panels, block: str = "", belts: BeltComparison | None = None
 ) -> Figure:
-    """Draw a fit in one figure.
-
-    Parameters
-    ----------
-    block : settings of an input shaper, to copy
-    belts : compared in a panel of their own
-    """
+    """Draw a fit in one figure, with settings of an input shaper to copy (block); belts have their own panel."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(WIDTH, 7.0 + (3.2 if belts else 0.0)), dpi=200, layout="constrained")
         rows: list[Any] = [["response"] * 2, ["modes", "residual"], *([["belts"] * 2] if belts else [])]
         axes: dict[str, Axes] = figure.subplot_mosaic(rows)
         figure.suptitle(f"{name}\n{fill(headline, LETTERS)}", x=0.01, ha="left", fontsize=10, parse_math=False)
-        panels.draw(axes["response"], axes["modes"], axes["residual"])
+        _responses(axes["response"], panels.shown)
+        _modes(axes["modes"], panels.modes)
+        _residuals(axes["residual"], panels.every)
         if belts is not None:
             belts_panel(axes["belts"], belts)
         below = f"{block}\n" if block else ""
@@ -200,17 +169,27 @@ def _modes(axes: Axes, modes: Sequence[Mode]) -> None:
     grid(axes)
 
 
+def _residual_title(every: Sequence[Trace]) -> str:
+    return f"Residual of {len(every)} response{'s' * (len(every) > 1)}"
+
+
 def _residuals(axes: Axes, every: Sequence[Trace]) -> None:
     """Draw what the fit leaves: in units of the noise where it is known, else as a share of the largest value."""
     known = all(trace.noise is not None for trace in every)
     for trace in every:
         left = np.abs(trace.measured - trace.fitted)
         size = left / trace.noise if trace.noise is not None and known else 100 * left / np.abs(trace.measured).max()
-        axes.semilogy(trace.frequency_hz, np.maximum(size, 1e-2), color=AFTER, linewidth=0.8, alpha=0.45)
+        axes.semilogy(
+            trace.frequency_hz,
+            np.maximum(size, 1e-2),
+            color=AFTER,
+            linewidth=0.8,
+            alpha=0.45 if len(every) > 3 else 1.0,
+        )
     if known:
         axes.axhline(1.0, color=NOISE, linewidth=3, zorder=0)
     unit = "times the noise" if known else "% of the largest value"
-    axes.set(xlabel="frequency, Hz", ylabel=unit, title=f"Residual of {len(every)} response{'s' * (len(every) > 1)}")
+    axes.set(xlabel="frequency, Hz", ylabel=unit, title=_residual_title(every))
     plain_decades(axes.yaxis)
     grid(axes)
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from ffcomp.report.drawing import Drawing, svg
+from ffcomp.report.drawing import Drawing, column, svg
 from ffcomp.result import Answer, Result
 from ffcomp.version import __version__
 
@@ -51,7 +51,7 @@ class Page:
     def html(self, answer: Answer) -> bytes:
         """Render it; the answer has the same words as in the terminal and JSON."""
         environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-        environment.filters |= {"said": said, "picture": picture}
+        environment.filters |= {"said": said, "picture": picture, "column": column}
         template = environment.from_string(resource("page.html.jinja"))
         about = [*self.about, f"ffcomp {__version__}"]
         shown = self.answer or answer
