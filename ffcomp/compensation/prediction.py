@@ -64,13 +64,17 @@ class Samples:
         if self.failed or not self.sections:
             return Forecast(failed=self.failed)
         # one after the other in space too: only differences count, and a jump between runs would look like an error
-        place, covered_s, columns = np.zeros(3), 0.0, list[tuple[FloatArray, ...]]()
+        place, covered_s, shifts, begins = np.zeros(3), 0.0, list[FloatArray](), list[float]()
         for each in self.sections:
-            shift = place - each.begin
-            moved = (points + shift for points in (each.reference, each.before, each.after, each.path))
-            columns.append((*moved, each.path_t + covered_s))
-            place, covered_s = columns[-1][0][-1], covered_s + each.lasts_s
-        reference, before, after, path, path_t = (np.concatenate(part) for part in zip(*columns, strict=True))
+            shifts.append(place - each.begin)
+            begins.append(covered_s)
+            place, covered_s = each.reference[-1] + shifts[-1], covered_s + each.lasts_s
+        pairs = list(zip(self.sections, shifts, strict=True))
+        reference = np.concatenate([each.reference + shift for each, shift in pairs])
+        before = np.concatenate([each.before + shift for each, shift in pairs])
+        after = np.concatenate([each.after + shift for each, shift in pairs])
+        path = np.concatenate([each.path + shift for each, shift in pairs])
+        path_t = np.concatenate([each.path_t + begin for each, begin in zip(self.sections, begins, strict=True)])
         t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
         tracks = {
             name: build_track(
