@@ -41,7 +41,7 @@ from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.firmware.program import firmware_plan
 from ffcomp.steps.archive import read_steps
-from ffcomp.steps.crossings import trajectory_pieces
+from ffcomp.steps.crossings import knot_pieces, on_grid
 from ffcomp.steps.sink import Board, StepSink
 from gcode.dialects import detect_flavor
 from gcode.reader import read_parts, read_program
@@ -204,8 +204,8 @@ def steps(paths: Sequence[Path], rounds: int) -> Rows:
 
             def written(to: Path, error_s: float | None, plan: Any = plan) -> int:
                 with StepSink(MACHINE, BOARD, to, error_s) as sink:
-                    for pieces in trajectory_pieces(plan):
-                        sink.pieces(pieces)
+                    places = on_grid(plan.position(np.arange(plan.start_t[0], plan.end_t, 0.004)))
+                    sink.pieces(knot_pieces(0.1, 0.004, places[:, :3], places[:, 3]))
                     return sum(total.steps for total in sink.finish().values())
 
             count = written(exact, None)

@@ -9,7 +9,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import chain, islice
-from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -34,7 +33,7 @@ from ffcomp.firmware.table import FIRMWARES
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.feasible import scale_around_cut
 from ffcomp.inverse.model import InverseModel, model_of
-from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
+from ffcomp.inverse.robust import BOUNDED, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, SlowingSettings, WriterSettings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
@@ -119,7 +118,7 @@ class Job:
         if kind == "host":  # whose own settings make the steps
             machine = {"name": self.machine.name, "sha256": self.machine.sha256}
             about = {"ffcomp": __version__, "machine": machine, "source": Path(self.path).name}
-            return MotionSink(target, {**about, "compensated": not self.plain})
+            return MotionSink(target, {**about, "compensated": True})
         per_mm = self.request.extruder_steps_per_mm or self.machine.steps.extruder_steps_per_mm
         if per_mm is None:
             raise RequestError(
@@ -127,11 +126,6 @@ class Job:
                 "or extruder_steps_per_mm in [steps] of the machine file."
             )
         return StepSink(self.machine, Board(per_mm), target, ROW_ERROR_S if kind == "klipper-steps" else None)
-
-    @property
-    def plain(self) -> bool:
-        """Whether step timings are those of the plan, uncompensated."""
-        return self.request.inverse == "none"
 
     @cached_property
     def bound(self) -> Bound | None:
@@ -163,7 +157,7 @@ class Job:
             merge_um, along_um = min(writer.merge_um, joined_um), min(writer.merge_along_um, 3.0 * joined_um)
             writer = replace(writer, merge_um=merge_um, merge_along_um=along_um)
             return replace(settings, robust=True, writer=writer), BOUNDED
-        choice = PLAIN if self.plain and robust is None else choose_robust(self.machine, settings, robust)
+        choice = choose_robust(self.machine, settings, robust)
         return replace(settings, robust=choice.robust), choice
 
     @cached_property
@@ -241,7 +235,7 @@ class Job:
             first.append(more)
         share = self._share(first[-1]) if self.request.predict else 0.0
         bound = None if self.bound is None else with_slicer_settings(self.bound, *self._ends[:2])
-        context = Context(self.model, self.flavor, self.offset, share, self.plain, bound)
+        context = Context(self.model, self.flavor, self.offset, share, bound)
         return self._chunks(chain(first, parts)), context
 
     def _share(self, first: Program) -> float:
@@ -269,10 +263,9 @@ class Job:
 
     def _chunks(self, parts: Iterable[Program]) -> Iterator[Chunk]:
         s = self.settings
-        longest_s = inf if self.plain else chunks.LONGEST_S  # plain steps are written from rest to rest
-        ease = self._eased if s.slowing.slow and not self.plain else None
+        ease = self._eased if s.slowing.slow else None
         plan_of = partial(firmware_plan, machine=self.machine)
-        return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, longest_s, ease))
+        return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, chunks.LONGEST_S, ease))
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         return scale_around_cut(self.model, around, cut, replanner_of(around, self.machine, layers))
@@ -347,12 +340,9 @@ def _compensated(chunk: Chunk, context: Context) -> Iterator[Output]:
     yield from compensated_sections(planned, context, GcodeRenderer(planned, context))
 
 
-def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterable[Output]:
+def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterator[Output]:
     planned = plan_chunk(chunk, context)
-    if not context.plain:
-        return compensated_sections(planned, context, StepRenderer(steps, planned, context))
-    steps.uncompensated(planned.planned)
-    return [Output((), planned.statistics, chunk.program.size)]
+    yield from compensated_sections(planned, context, StepRenderer(steps, planned, context))
 
 
 def _work(chunk: Chunk, context: Context) -> Output:

@@ -31,7 +31,6 @@ class Context:
     flavor: str
     offset: tuple[float, float] = (0.0, 0.0)  # mm, added to the program's positions when they were read
     share: float = 0.0  # of the print that is simulated for the prediction; above 1: all of it
-    plain: bool = False  # written uncompensated: it waits for nothing
     bound: Bound | None = None  # on the error: the quickest print that keeps it; None: the slicer's speed
 
 
@@ -57,7 +56,7 @@ def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
     """Plan a chunk, and solve the last moves before it, as the printer may still ring."""
     model, machine = context.model, context.model.full_machine
     faster: Faster | None = None
-    if context.bound is None or context.plain:
+    if context.bound is None:
         planned = plan_program(chunk.program, machine)
     else:
         planned, faster = faster_chunk(chunk, context.bound, model)
@@ -84,7 +83,7 @@ def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
     raw_s = raw_durations(raw, planner_of(chunk.program, machine))
     changes_s = {event.line: event.lasts_s for event in written if event.lasts_s}
     begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
-    waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
+    waits = settling_waits(planned, machine, raw_s, begun, chunk.since)
     by_plan = of_plan(planned, chunk.extent)
     if faster is not None and chunk.extent != WHOLE:  # the written part has another duration at the slicer's speed
         sliced = of_plan(plan_program(chunk.program, machine), chunk.extent)

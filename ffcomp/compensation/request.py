@@ -101,10 +101,6 @@ class CompensateOptions(Request):
     ] = None
     predict: Annotated[bool, Option("Simulate the print before and after with the design model.", SPEED)] = True
     max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
-    inverse: Annotated[
-        Literal["fast", "none"],
-        Option("Whether to compensate: fast, or none, for step timings only.", ADVANCED, metavar="NAME"),
-    ] = "fast"
     robust: Annotated[
         Literal["auto", "on", "off"],
         Option(
@@ -174,11 +170,6 @@ class CompensateOptions(Request):
 
     def check(self) -> None:
         """Check options that depend on each other."""
-        if self.inverse == "none" and self.kind == "gcode":
-            raise RequestError("--inverse none leaves the G-code unchanged; use it with --kind steps or host.")
-        self._check_faster()
-
-    def _check_faster(self) -> None:
         limits = (self.max_flow_mm3_per_s, self.max_speed_mm_per_s, self.min_layer_time_s)
         if not self.errors_um:
             if limits != (None, None, None) or self.keep_speed or self.change_speed:

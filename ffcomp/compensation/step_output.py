@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.firmware.program import PlannedProgram
 from ffcomp.inverse.feasible import SolvedSection
-from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
-from ffcomp.steps.crossings import knot_pieces, on_grid, trajectory_pieces
+from ffcomp.steps.crossings import knot_pieces, on_grid
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import StepSink
 from gcode.program import Event, EventKind, EventQueue, Program
@@ -33,22 +30,6 @@ class StepStream:
 
     sink: StepSink | MotionSink  # makes steps of it, or keeps it
     clock_s: float = BEFORE_S
-
-    def uncompensated(self, planned: PlannedProgram) -> None:
-        """Write the plan without compensation."""
-        program, begun = planned.program, self.clock_s
-        trajectory = planned.trajectory
-        _, waits = stops_and_waits(program)
-        due = begun + np.append(trajectory.start_t - waits, trajectory.end_t)
-        for event in program.events:
-            self._tell(program, event, float(due[event.move]))
-            due[event.move] += event.dwell_s
-        for first, last, known in _by_height(program):
-            self.sink.height(known)
-            for pieces in trajectory_pieces(trajectory, begun, first, last):
-                self.sink.pieces(pieces)
-        self.clock_s = float(due[-1])
-        self.sink.rest(self.clock_s)
 
     def between(self, program: Program, events: Iterable[Event]) -> None:
         """Give the lines that stand between sections to the sink, and wait where they wait."""
@@ -66,13 +47,6 @@ class StepStream:
         self.sink.event(t, program.lines[event.line], still=event.kind is EventKind.PASS)
         frame = program.frames[event.frame]
         self.sink.factors(t, frame.feed_factor, frame.flow)
-
-
-def _by_height(program: Program) -> list[tuple[int, int, bool]]:
-    """Return runs of moves whose Z is known, or is not: first, last, which."""
-    known = np.array([frame.z_known for frame in program.frames], dtype=bool)[program.moves.frame]
-    ends = [*np.flatnonzero(known[1:] != known[:-1]) + 1, len(known)]
-    return [(int(first), int(last), bool(known[first])) for first, last in pairwise([0, *ends])]
 
 
 class StepRenderer:

@@ -4,8 +4,7 @@ The file holds the command itself, not the steps: the host's own kinematics make
 docs/reference/files.md has its header. Memory does not grow with the print.
 
 Knots lie on a grid and are equally far apart in time, so that of each coordinate only the second difference is kept:
-small whole numbers, whose bytes are sorted by their weight before `zlib` takes them. Other points (the ramps of an
-uncompensated plan) are kept in double precision.
+small whole numbers, whose bytes are sorted by their weight before `zlib` takes them.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ import numpy as np
 from ffcomp.steps.crossings import GRID_MM, Pieces
 from ffcomp.steps.sink import MotorTotal
 from gcode.atomic_write import replace_atomically
-from models.arrays import BoolArray, FloatArray, IntArray
+from models.arrays import FloatArray, IntArray
 
-LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4  # kinds of record
-BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8  # flags of a record of knots or pieces
+LINES, KNOTS, WAIT = 1, 2, 4  # kinds of record
+BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8  # flags of a record of knots
 RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
 # A record is what the player hands to the host's look-ahead at once. The host releases one only when it knows what
 # follows, and stops on the path where it must make steps sooner: so records are short after a rest, and grow.
@@ -47,7 +46,6 @@ class MotionBlock:
     records: list[tuple[int, int, int, int]] = field(default_factory=list)
     numbers: list[float] = field(default_factory=list)  # of runs: spacing, origin; of waits: how long
     text: list[bytes] = field(default_factory=list)
-    pieces: list[FloatArray] = field(default_factory=list)  # (n, 11) each
     bends: list[IntArray] = field(default_factory=list)  # (n, 4) each
     size: int = 0
     run: tuple[float, IntArray, IntArray] | None = (
@@ -79,18 +77,11 @@ class MotionBlock:
         self.run = spacing_s, places[-1], steps[-1]
         self.size += 4 * AXES * len(steps)
 
-    def ramps(self, rows: FloatArray, flags: int) -> None:
-        """Append pieces (n, 11) of constant acceleration: duration, origin, direction, speed, acceleration."""
-        self._record(PIECES, flags, len(rows))
-        self.pieces.append(rows)
-        self.run = None
-        self.size += rows.nbytes
-
     def rest(self) -> None:
         """Note that the nozzle rests after the last record of motion, if this chunk has one at its end."""
         for k in range(len(self.records) - 1, -1, -1):
             kind, flags, zero, count = self.records[k]
-            if kind in (KNOTS, PIECES):
+            if kind == KNOTS:
                 self.records[k] = kind, flags | RESTS_AFTER, zero, count
                 return
 
@@ -105,7 +96,7 @@ class MotionBlock:
             np.array(self.records, dtype=RECORD).tobytes(),
             np.array(self.numbers, dtype="<f8").tobytes(),
             b"".join(self.text),
-            b"".join(rows.astype("<f8").tobytes() for rows in self.pieces),
+            b"",  # pieces of constant acceleration, which the format has too
             _planes(bends),
         ]
         raw = struct.pack("<5I", *map(len, parts)) + b"".join(parts)
@@ -125,12 +116,9 @@ def _planes(bends: IntArray) -> bytes:
 MAGIC = b"FFCMOT1\n"
 SCHEMA = "ffcomp-motion/1"
 SOON_S = 1e-7
-STILL_MM_PER_S = 1e-6
 BLOCK_BYTES = 1 << 20
 _WAIT, _MOVE = re.compile(rb"[Gg]0*4(?!\d)"), re.compile(rb"[Gg]0*[01](?![\d.])")
 _FEED = re.compile(rb"[Ff]\s*\d[\d.]*")
-MOST_PIECES = 24  # in a record, which is what the player handles at once
-LONGEST_S = 0.25
 
 
 @dataclass
@@ -146,14 +134,10 @@ class _Extremes:
         for places in (pieces.origin[:, :3], pieces.end[:, :3]):
             self.lowest = np.minimum(self.lowest, places.min(axis=0))
             self.highest = np.maximum(self.highest, places.max(axis=0))
-        length = np.linalg.norm(pieces.direction[:, :3], axis=1)
-        ends = pieces.start_v + pieces.acceleration * pieces.duration
-        self.speed = max(self.speed, float((length * np.maximum(pieces.start_v, ends)).max()))
-        inside = float((length * np.abs(pieces.acceleration)).max())
         velocity = pieces.direction[:, :3] * pieces.start_v[:, None]
+        self.speed = max(self.speed, float(np.linalg.norm(velocity, axis=1).max()))
         jumps = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / pieces.duration[1:]
-        knots = float(jumps.max(initial=0.0)) if _are_knots(pieces) else 0.0
-        self.acceleration = max(self.acceleration, inside, knots)
+        self.acceleration = max(self.acceleration, float(jumps.max(initial=0.0)))
 
 
 class MotionSink:
@@ -175,7 +159,7 @@ class MotionSink:
         self._factors = 1.0, 1.0
         self._begin_s = self._rests_until = 0.0
         self._knots_since_rest = 0
-        self._rests = self._height_known = self._stopped = True
+        self._rests = self._height_known = True
         self._records = self._text_bytes = 0
 
     def __enter__(self) -> Self:
@@ -233,7 +217,7 @@ class MotionSink:
         return RESTS_BEFORE * self._rests | ANY_HEIGHT * (not self._height_known)
 
     def pieces(self, pieces: Pieces) -> None:
-        """Take the next part of the path."""
+        """Take the next part of the path: straight segments, equally long in time."""
         if not len(pieces):
             return
         self._extremes.add(pieces)
@@ -241,11 +225,7 @@ class MotionSink:
         self._begin(begin)
         self._lines_until(begin + SOON_S)
         self._wait_until(begin)
-        if _are_knots(pieces):
-            self._stopped = False  # only whoever has solved for them knows
-            self._knots(pieces)
-        else:
-            self._ramps(pieces)
+        self._knots(pieces)
         self._clock = float(pieces.start_t[-1] + pieces.duration[-1])
 
     def _lines_until(self, t: float) -> None:
@@ -280,32 +260,6 @@ class MotionSink:
             self._chunk.knots(spacing, places[first : last + 1], self._flags())
             self._moved()
             self._knots_since_rest += last - first
-            first = last
-
-    def _ramps(self, pieces: Pieces) -> None:
-        begins, ends = _still(pieces)
-        if self._stopped and begins[0]:
-            self._stop()
-        self._stopped = bool(ends[-1])
-        rows = np.column_stack(pieces.columns[1:])
-        still = [self._rests, *(ends[:-1] & begins[1:]).tolist(), False]
-        first = 0
-        for last in range(1, len(rows) + 1):
-            more = last < len(rows)
-            due = bool(self._events) and more and self._events[0][0] <= pieces.start_t[last] + SOON_S
-            waits = more and pieces.start_t[last] > pieces.start_t[last - 1] + pieces.duration[last - 1] + SOON_S
-            long = rows[first:last, 0].sum() >= LONGEST_S or last - first >= MOST_PIECES
-            if more and not (due or waits or long or still[last]):
-                continue
-            self._make_room()
-            self._chunk.ramps(rows[first:last], self._flags())
-            self._moved()
-            self._clock = float(pieces.start_t[last - 1] + pieces.duration[last - 1])
-            if still[last]:
-                self._stop()
-            if more:
-                self._lines_until(float(pieces.start_t[last]) + SOON_S)
-                self._wait_until(float(pieces.start_t[last]))
             first = last
 
     def _moved(self) -> None:
@@ -354,18 +308,5 @@ class MotionSink:
         }
 
     def close(self) -> None:
-        """Give up what was gathered; after `finish` there is nothing left of it."""
+        """Discard the temporary files; `finish` does so itself."""
         self._body.close()
-
-
-def _are_knots(pieces: Pieces) -> bool:
-    """Whether these are straight segments, equally long in time."""
-    even = np.ptp(pieces.duration) <= SOON_S * pieces.duration[0]
-    return bool(even and (pieces.start_v == 1.0).all() and not pieces.acceleration.any())
-
-
-def _still(pieces: Pieces) -> tuple[BoolArray, BoolArray]:
-    """Whether the nozzle and the filament stand where each piece begins, and where it ends, (n,) each."""
-    length = np.linalg.norm(pieces.direction, axis=1)
-    ends = pieces.start_v + pieces.acceleration * pieces.duration
-    return length * pieces.start_v < STILL_MM_PER_S, length * ends < STILL_MM_PER_S

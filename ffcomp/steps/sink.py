@@ -148,8 +148,7 @@ class StepSink:
     """Writes the archive of FORMATS.md, section 5: `steps`, or `klipper-steps` if an error is allowed.
 
         with StepSink(machine, Board(extruder_steps_per_mm=415.0), target) as sink:
-            for pieces in trajectory_pieces(trajectory):
-                sink.pieces(pieces)
+            sink.pieces(knot_pieces(0.1, 0.004, vertices, filament))
             sink.event(12.5, b"M106 S255")
             totals = sink.finish()
 
@@ -270,7 +269,7 @@ class StepSink:
         yield "events_line", self._event_line.npy()
 
     def close(self) -> None:
-        """Give up what was gathered; after `finish` there is nothing left of it."""
+        """Discard the temporary files; `finish` does so itself."""
         for motor in self._motors:
             for column in motor.part.columns.values():
                 column.close()

@@ -45,8 +45,6 @@ CASES = [
     (f"compensate a.gcode {DELTA} --offset-mm 1;2", 2, "offset"),
     (f"compensate a.gcode {DELTA} --kind hex", 2, '"gcode", "steps", "klipper-steps", "host"'),
     (f"compensate a.gcode {DELTA} --kind steps", 2, "extruder_steps_per_mm"),
-    (f"compensate a.gcode {DELTA} --inverse none", 2, "use it with --kind steps"),
-    (f"compensate a.gcode {DELTA} --inverse slow", 2, '"fast", "none"'),
     (f"compensate a.gcode squares.gcode {DELTA} -o out.gcode", 2, "-o is for one file"),
     (f"compensate a.gcode {DELTA} --output-dir .", 2, "would be overwritten"),
     (f"compensate a.gcode a.gcode {DELTA}", 2, "would both be written"),

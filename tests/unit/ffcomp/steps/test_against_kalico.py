@@ -18,12 +18,12 @@ from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.archive import MotorSteps, read_steps
-from ffcomp.steps.crossings import trajectory_pieces
 from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
 from models.machine import Steps
+from tests.support.pieces import trajectory_pieces
 from validation import kalico
 from validation.judge import HOST_KNOWS
 

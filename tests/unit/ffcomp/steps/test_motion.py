@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.steps.crossings import Pieces, knot_pieces, on_grid
+from ffcomp.steps.crossings import knot_pieces, on_grid
 from ffcomp.steps.motion import MotionSink
 from tests.support.klipper_host import reader
 from tests.support.step_lookahead import played
@@ -83,29 +83,6 @@ def test_a_host_that_makes_steps_ahead_never_stops_on_the_path(
     lines = tuple((0.1, b"M117 %d" % k) for k in range(lines_before))
     write(tmp_path / "x.ffm", (0.1, places(3000)), events=lines)
     assert played(tmp_path / "x.ffm", ahead_s).stops == 0
-
-
-@pytest.mark.parametrize("at", [0, 3])
-def test_ramps_come_back_exactly(tmp_path: Path, at: int) -> None:
-    """Up, along and down again, twice; at rest between, however they are cut into calls."""
-    speed = np.tile([0.0, 50.0, 50.0], 2)
-    acceleration = np.tile([5000.0, 0.0, -5000.0], 2)
-    lasts = np.full(6, 0.01)
-    path = (speed + 0.5 * acceleration * lasts) * lasts
-    begin = np.concatenate([[0.0], np.cumsum(path)[:-1]])
-    direction = np.tile([0.6, 0.8, 0.0, 0.05], (6, 1))
-    start_t = np.concatenate([[0.0], np.cumsum(lasts)[:-1]])
-    pieces = Pieces(start_t, lasts, direction * begin[:, None], direction, speed, acceleration)
-    with MotionSink(tmp_path / "x.ffm", {}) as sink:
-        sink.pieces(pieces[:at])
-        sink.pieces(pieces[at:])
-        sink.finish()
-    header, records = read(tmp_path / "x.ffm")
-    assert [(len(r.durations), r.rests_before, r.rests_after) for r in records] == [(3, True, True)] * 2
-    np.testing.assert_array_equal(np.concatenate([r.accelerations for r in records]), acceleration)
-    np.testing.assert_allclose(records[-1].places[-1], pieces.end[-1], atol=1e-12)
-    assert header["peak_velocity_mm_per_s"] == pytest.approx(50.0)
-    assert header["peak_acceleration_mm_per_s2"] == pytest.approx(5000.0)
 
 
 @pytest.mark.parametrize("change", [lambda data: data[:-5], lambda data: b"G1 X1\n" + data, lambda data: data[:20]])

@@ -13,11 +13,12 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
 from ffcomp.steps.archive import StepsError, read_steps
-from ffcomp.steps.crossings import Pieces, knot_pieces, trajectory_pieces
+from ffcomp.steps.crossings import Pieces, knot_pieces
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
 from models.file import load_machine
+from tests.support.pieces import trajectory_pieces
 
 MACHINE = load_machine("mp-delta-pro")
 BOARD = Board(extruder_steps_per_mm=415.0)
