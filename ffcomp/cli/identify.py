@@ -51,7 +51,7 @@ def scan(request: ScanRequest) -> Result:
 
     start = load_machine(request.machine)
     with missing_extras_explained():
-        from ffcomp.identification.scanning import USUAL_S, fit_pictures
+        from ffcomp.identification.page.scan import USUAL_S, fit_pictures
 
         with SearchProgress(USUAL_S, "reading the pictures") as progress:
             result = fit_pictures(start, request, progress)

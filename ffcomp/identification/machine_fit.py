@@ -17,7 +17,6 @@ from ffcomp.identification.direct import Identified, scale_is_weak
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS
-from ffcomp.identification.page.fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import keys
@@ -239,49 +238,6 @@ class ResonancesFit(MachineFit):
         return facts if self.started is None else [*facts, *number_facts(self.started.estimates)]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ScanFit(MachineFit):
-    """A machine's numbers from pictures of a page that it drew."""
-
-    method = "scan"
-    schema = "ffcomp-identify-scan/1"
-    json_keys = MachineFit.json_keys | keys(
-        "noise_um",
-        numbers="result.estimates",
-        kept="result.kept",
-        places="result.places",
-        bead="result.bead",
-        explained="result.explained",
-        lines="result.count",
-    )
-
-    result: PageFit
-
-    @property
-    def noise_um(self) -> float:
-        """Roughness of the typical line."""
-        return 1e3 * self.result.rough_mm
-
-    @property
-    def headline(self) -> str:
-        """How much of the lines' waves the machine explains."""
-        return (
-            f"The machine explains {100 * self.result.explained:.0f} % of the waves of {len(self.result.lines)} lines, "
-            f"which are rough by {self.noise_um:.0f} µm."
-        )
-
-    @property
-    def found(self) -> list[Fact]:
-        """Modes at each place, and every parameter."""
-        fit, facts = self.result, list[Fact]()
-        if self.start.vibration.position_dependent:
-            for (x, y), modes in fit.modes.items():
-                words = "; ".join(f"{_interval(f)} Hz, ζ {_interval(d)}" for f, d in modes)
-                facts.append((f"at {x:.0f}, {y:.0f} mm", words))
-        facts += number_facts(fit.estimates)
-        return [*facts, ("Friction", "dry friction of the guides is in the file too")] if fit.friction else facts
-
-
 def number_facts(numbers: Mapping[str, Estimate]) -> list[Fact]:
     """Return each parameter with its 90 % interval."""
     facts = []
@@ -291,10 +247,6 @@ def number_facts(numbers: Mapping[str, Estimate]) -> list[Fact]:
     return facts
 
 
-def _interval(e: Estimate) -> str:
-    return f"{e.value:.4g} ({e.low:.4g} to {e.high:.4g})"
-
-
 def _resonances(axes: Iterable[AxisFit]) -> str:
     each = (f"{a.name} at {' and '.join(f'{mode.frequency_hz.value:.1f}' for mode in a.modes)} Hz" for a in axes)
     return f"Resonances: {', '.join(each)}."
@@ -302,8 +254,8 @@ def _resonances(axes: Iterable[AxisFit]) -> str:
 
 def _axis_facts(axis: AxisFit) -> Iterator[Fact]:
     for mode in axis.modes:
-        share = f", share {_interval(mode.share)}" if len(axis.modes) > 1 else ""
-        yield f"Along {axis.name}", f"{_interval(mode.frequency_hz)} Hz, ζ {_interval(mode.damping_ratio)}{share}"
+        share = f", share {mode.share}" if len(axis.modes) > 1 else ""
+        yield f"Along {axis.name}", f"{mode.frequency_hz} Hz, ζ {mode.damping_ratio}{share}"
     yield f"Along {axis.name}", axis.verdict
     for each in axis.explained:
         explained = f"{100 * each.model_error:.1f} %" if each.model_error else "its noise"
@@ -317,7 +269,7 @@ def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
         what = f"tower {name}" if belts.kind == "tower" else f"belt of axis={name}"
         interval = f"90 %: {100 * e.low:+.0f} to {100 * e.high:+.0f} %"
         yield what, f"{100 * e.value:+.1f} % ({interval}) against the mean of the others"
-    yield "Head", f"resonates at {' and '.join(f'{_interval(e)} Hz' for e in belts.modes_hz)}"
+    yield "Head", f"resonates at {' and '.join(f'{e} Hz' for e in belts.modes_hz)}"
     for each in belts.explained:
         yield each.file, f"explained to {100 * each.model_error:.1f} %"
 
@@ -395,18 +347,6 @@ def machine_file_text(origin: Origin, result: Identified) -> str:
         misfit_chi_squared_per_degree_of_freedom=float(f"{fitted.misfit:.4g}"),
         model_error_share=float(f"{fitted.model_error:.3g}"),
         kept_from_the_starting_file=list(result.kept),
-    )
-
-
-def scan_file_text(origin: Origin, result: PageFit) -> str:
-    """Write the file of the numbers that a picture of a page gives."""
-    return origin.text_of(
-        result.estimates,
-        "scan",
-        {f"effects.coulomb_friction.{key}": value for key, value in result.friction.items()},
-        lines=len(result.lines),
-        explained_share=float(f"{result.explained:.3g}"),
-        hardly_determined=list(result.kept),
     )
 
 

@@ -22,6 +22,9 @@ class Estimate:
     low: float  # of the 90 % interval
     high: float
 
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g})"
+
     @property
     def relative_sd(self) -> float:
         """Standard uncertainty over value."""

@@ -19,7 +19,8 @@ from ffcomp.errors import RequestError
 from ffcomp.identification.belts import BeltComparison
 from ffcomp.identification.direct import Identified
 from ffcomp.identification.frf_study import View, study
-from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit, ScanFit
+from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
+from ffcomp.identification.page.scan import ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, plain_decades
 from ffcomp.report.page import Page, Section, plain

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from ffcomp.errors import MeasurementError, RequestError
-from ffcomp.identification.machine_fit import ScanFit
 from ffcomp.identification.page.fit import _swept, fit_page
 from ffcomp.identification.page.lines import ENDS_MM, STEP_MM, ReadLine, read_lines
 from ffcomp.identification.page.picture import find_page, read_picture
+from ffcomp.identification.page.scan import ScanFit, _advice, fit_pictures
 from ffcomp.identification.request import ScanRequest
-from ffcomp.identification.scanning import _advice, fit_pictures
 from ffcomp.record.page import DISC, PageRequest, discs_of, last_line, make_page, twins
 from ffcomp.record.plan import Plan, save_plan
 from models.file import load_machine, machine_of_text

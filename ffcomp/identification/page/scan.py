@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
-from ffcomp.identification.machine_fit import Origin, ScanFit, hash_of, scan_file_text
+from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
 from ffcomp.identification.page.fit import SCALE, PageFit, fit_page, machine_unknowns
 from ffcomp.identification.page.lines import read_lines
 from ffcomp.identification.page.picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
+from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Page, Plan, load_plan
+from ffcomp.result import Fact
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.machine import Machine
@@ -24,6 +26,49 @@ from models.machine import Machine
 SECOND_MODE = 1.1  # times the expected ring
 FAR = 2.5  # of a prior's standard deviations
 USUAL_S = (4.0, 4.0, 12.0)  # of CPU: reading, where to begin, the fit
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ScanFit(MachineFit):
+    """A machine's numbers from pictures of a page that it drew."""
+
+    method = "scan"
+    schema = "ffcomp-identify-scan/1"
+    json_keys = MachineFit.json_keys | keys(
+        "noise_um",
+        numbers="result.estimates",
+        kept="result.kept",
+        places="result.places",
+        bead="result.bead",
+        explained="result.explained",
+        lines="result.count",
+    )
+
+    result: PageFit
+
+    @property
+    def noise_um(self) -> float:
+        """Roughness of the typical line."""
+        return 1e3 * self.result.rough_mm
+
+    @property
+    def headline(self) -> str:
+        """How much of the lines' waves the machine explains."""
+        return (
+            f"The machine explains {100 * self.result.explained:.0f} % of the waves of {len(self.result.lines)} lines, "
+            f"which are rough by {self.noise_um:.0f} µm."
+        )
+
+    @property
+    def found(self) -> list[Fact]:
+        """Modes at each place, and every parameter."""
+        fit, facts = self.result, list[Fact]()
+        if self.start.vibration.position_dependent:
+            for (x, y), modes in fit.modes.items():
+                words = "; ".join(f"{f} Hz, ζ {d}" for f, d in modes)
+                facts.append((f"at {x:.0f}, {y:.0f} mm", words))
+        facts += number_facts(fit.estimates)
+        return [*facts, ("Friction", "dry friction of the guides is in the file too")] if fit.friction else facts
 
 
 def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str], None] = lambda _: None) -> ScanFit:
@@ -46,9 +91,21 @@ def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str],
     result = fit_page(start, lines, page.line_width_mm, progress)
     hashes = [hash_of(path) for path in request.pictures]
     name = request.name or (request.output.stem if request.output is not None else f"{Path(start.path).stem}-scanned")
-    text = scan_file_text(Origin(Path(start.path), name, hashes, date.today().isoformat()), result)
+    text = _file_text(Origin(Path(start.path), name, hashes, date.today().isoformat()), result)
     fit = ScanFit(start=start, data=hashes, name=name, text=text, advice=_advice(start, result), result=result)
     return replace(fit, shapers=tuple(shaper_advice(machine_of_text(text, name))))
+
+
+def _file_text(origin: Origin, result: PageFit) -> str:
+    """Write the file of the numbers that a picture of a page gives."""
+    return origin.text_of(
+        result.estimates,
+        "scan",
+        {f"effects.coulomb_friction.{key}": value for key, value in result.friction.items()},
+        lines=len(result.lines),
+        explained_share=float(f"{result.explained:.3g}"),
+        hardly_determined=list(result.kept),
+    )
 
 
 def _checked(start: Machine, plan: Plan, request: ScanRequest) -> Page:
