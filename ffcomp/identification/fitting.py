@@ -25,7 +25,7 @@ from ffcomp.identification.axes import fit_axes, identify_axes
 from ffcomp.identification.axis_fit import fit_axis
 from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.direct import identify
-from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, ringing_mode, starting_machine
+from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, main_mode, starting_machine
 from ffcomp.identification.load import Gathered, gather
 from ffcomp.identification.machine_fit import (
     AxesFit,
@@ -113,10 +113,10 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
         resonances = [
             Resonance(axis, (0.0, 0.0), lognormal(hz, READ_SD), lognormal(damping, 1.0)) for axis, hz in read.items()
         ]
-        started = starting_machine(start, resonances, ringing_mode)
+        started = starting_machine(start, resonances)
         kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
         belts = with_values(start, {key: e.value for key, e in kept.items()})
-        made = [ringing_mode(belts, each) for each in resonances]
+        made = [main_mode(belts, each)[0] for each in resonances]
         started = replace(started, machine=belts, estimates=kept, predicted_hz=made)
     else:
         estimates = dict[str, Estimate]()
@@ -185,8 +185,7 @@ class _Task:
         """Fit the modes of cartesian and CoreXY axes."""
         shared = self.start.kinematics.shares_motors
         result = identify_axes(self.gathered.shaken, self.gathered.responses, progress, shared)
-        kept = tuple(axis for axis in result.axes if self.request.rough or max(axis.errors) <= ROUGH)
-        rough = [_too_rough(axis) for axis in result.axes if axis not in kept]
+        kept, rough = self.smooth(result.axes)
         written = replace(result, axes=kept, exchange=None if rough else result.exchange)
         return AxesFit(
             **self.common,
@@ -196,6 +195,11 @@ class _Task:
             result=result,
         )
 
+    def smooth(self, axes: Sequence[AxisFit]) -> tuple[tuple[AxisFit, ...], list[str]]:
+        """Return the axes whose modes explain enough to be written, and sentences on the others."""
+        kept = tuple(axis for axis in axes if self.request.rough or max(axis.errors) <= ROUGH)
+        return kept, [_too_rough(axis) for axis in axes if axis not in kept]
+
     def belts_alone(self) -> BeltsFit:
         """Compare belts; they make no machine file."""
         rule = "Tests along the belts only compare belts. To measure the modes of x and y, test AXIS=X and AXIS=Y."
@@ -204,8 +208,8 @@ class _Task:
     def resonances(self, progress: Progress) -> ResonancesFit:
         """Fit modes where nothing else is known, and make a starting file of the main ones."""
         axes, silent = fit_axes(self.gathered.shaken, progress)
-        left_out = [*silent, *filter(None, (_unused(axis, self.request.rough) for axis in axes))]
-        usable = [axis for axis in axes if not _unused(axis, self.request.rough)]
+        usable, rough = self.smooth(axes)
+        left_out = [*silent, *rough]
         main = [(axis.name, axis.modes[0]) for axis in usable]
         resonances = [Resonance(name, (0.0, 0.0), mode.frequency_hz, mode.damping_ratio) for name, mode in main]
         resonances += _of_towers(self.belts)
@@ -231,20 +235,9 @@ def _name(start: Machine, request: IdentifyRequest) -> str:
 
 def _too_rough(axis: AxisFit) -> str:
     return (
-        f"[axes.{axis.name}] is not written: its modes leave {100 * max(axis.errors):.0f} % of the measurement "
+        f"The modes of {axis.name} are not written: they leave {100 * max(axis.errors):.0f} % of the measurement "
         f"unexplained, and {100 * ROUGH:.0f} % is the limit. Fasten the sensor and what rattles, and test it again; or "
         "write it all the same with --rough."
-    )
-
-
-def _unused(axis: AxisFit, rough: bool) -> str:
-    """Say why a delta's file is not made from an axis' main mode; '' if it is."""
-    left = max(axis.errors)
-    if left <= ROUGH or rough:
-        return ""
-    return (
-        f"{axis.name} is not used for the machine file: its modes leave {100 * left:.0f} % of the measurement "
-        f"unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
     )
 
 

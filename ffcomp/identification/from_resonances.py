@@ -8,7 +8,7 @@ stays the starting file's, with its uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +16,12 @@ import numpy as np
 from ffcomp.errors import SolverError
 from ffcomp.identification.uncertainty import Estimate, lognormal
 from ffcomp.measurement.frf import AXES
-from models.arrays import FloatArray
 from models.machine import Machine, value_of, with_values
 
 STIFFNESS = "carriage.belt_stiffness_n_per_m"
 DAMPINGS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")
 SCALES = np.geomspace(0.1, 10.0, 81)  # of the stiffness, searched before it is refined
 RINGING = 0.3  # damping ratio: more, and a mode does not ring
-BAND_HZ = np.arange(8.0, 160.0, 0.25)
 MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
 
@@ -46,10 +44,8 @@ class ResonanceStart:
     predicted_hz: list[float]  # of each resonance, by the tuned machine
 
 
-def starting_machine(
-    start: Machine, resonances: Sequence[Resonance], main: Callable[[Machine, Resonance], float] | None = None
-) -> ResonanceStart:
-    """Scale the starting machine to the resonances, which are those of `main` in a machine: of spectra, their peaks.
+def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> ResonanceStart:
+    """Scale the starting machine until its main modes lie at the resonances.
 
     Raises
     ------
@@ -58,63 +54,39 @@ def starting_machine(
     """
     if not resonances:
         raise SolverError("None of the measurements shows a clear mode; there is nothing to tune a machine to.")
-    stiffness, main = value_of(start, STIFFNESS), main or _main
-    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances, main) for scale in SCALES]
-    nearest = int(np.argmin(misfits))
-    if nearest in (0, len(SCALES) - 1):
+    weights = np.array([np.hypot(r.frequency_hz.relative_sd, MODEL_SD) ** -2.0 for r in resonances])
+    stiffness = value_of(start, STIFFNESS)
+
+    def misfit(scale: float) -> float:
+        machine = with_values(start, {STIFFNESS: stiffness * scale})
+        off = [np.log(main_mode(machine, r)[0] / r.frequency_hz.value) for r in resonances]
+        return float(weights @ np.square(off))
+
+    coarse = int(np.argmin([misfit(scale) for scale in SCALES]))
+    if coarse in (0, len(SCALES) - 1):
         measured = ", ".join(f"{r.frequency_hz.value:.1f} Hz" for r in resonances)
         raise SolverError(
             "No belt stiffness between a tenth and ten times the starting machine's brings its resonances to the "
             f"measured ones ({measured}): start from another machine."
         )
-    fine = np.geomspace(float(SCALES[nearest - 1]), float(SCALES[nearest + 1]), 41)
-    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances, main) for scale in fine]
-    scale = float(fine[np.argmin(misfits)])
+    fine = np.geomspace(float(SCALES[coarse - 1]), float(SCALES[coarse + 1]), 41)
+    scale = float(fine[np.argmin([misfit(each) for each in fine])])
     tuned = with_values(start, {STIFFNESS: stiffness * scale})
-    factor = _damping_factor(tuned, resonances)
+    # both are proportional to c + b while small
+    ratios = [r.damping_ratio.value / main_mode(tuned, r)[1] for r in resonances]
+    factor = float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))
     dampings = {name: value_of(tuned, name) * factor for name in DAMPINGS}
     tuned = with_values(tuned, dampings)
-    return ResonanceStart(
-        tuned, _estimates(stiffness * scale, dampings, resonances), [main(tuned, r) for r in resonances]
-    )
-
-
-def _misfit(machine: Machine, resonances: Sequence[Resonance], main: Callable[[Machine, Resonance], float]) -> float:
-    return sum((np.log(main(machine, r) / r.frequency_hz.value) / _sd(r)) ** 2 for r in resonances)
-
-
-def _sd(r: Resonance) -> float:
-    return float(np.hypot(r.frequency_hz.relative_sd, MODEL_SD))
-
-
-def _main(machine: Machine, r: Resonance) -> float:
-    """Find where the nozzle responds most along the axis, Hz."""
-    i = AXES.index(r.axis)
-    size = np.abs(machine.vibration.frequency_response(np.array(r.place_mm), BAND_HZ, "nozzle", "nozzle")[:, i, i])
-    return float(BAND_HZ[np.argmax(size)])
-
-
-def ringing_mode(machine: Machine, r: Resonance) -> float:
-    """Find the mode that rings and moves the nozzle most along the axis, Hz: a drive's own peak is none of them."""
-    modes = machine.vibration.modes_at(np.array(r.place_mm))
-    size = np.abs(modes.nozzle[:, AXES.index(r.axis)]) * (modes.damping_ratios < RINGING)
-    return float(modes.frequencies_hz[np.argmax(size)])
-
-
-def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:
-    """Average the ratio of measured to modelled damping ratio; both are proportional to c + b while small."""
-    ratios = []
-    for r in resonances:
-        modes = machine.vibration.modes_at(np.array(r.place_mm))
-        nearest = int(np.argmin(np.abs(np.log(modes.frequencies_hz / _main(machine, r)))))
-        ratios.append(r.damping_ratio.value / modes.damping_ratios[nearest])
-    return float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))
-
-
-def _estimates(stiffness: float, dampings: dict[str, float], resonances: Sequence[Resonance]) -> dict[str, Estimate]:
-    """Take twice a frequency's relative uncertainty for the stiffness; the ratios' scatter for the dampings."""
-    weight: FloatArray = np.array([1 / _sd(r) ** 2 for r in resonances])
+    # twice a frequency's relative uncertainty; the ratios' scatter
     relative = [r.damping_ratio.relative_sd for r in resonances]
     spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))
-    estimates = {STIFFNESS: lognormal(stiffness, 2 / float(np.sqrt(weight.sum())))}
-    return estimates | {name: lognormal(value, spread) for name, value in dampings.items()}
+    estimates = {STIFFNESS: lognormal(stiffness * scale, 2 / float(np.sqrt(weights.sum())))}
+    estimates |= {name: lognormal(value, spread) for name, value in dampings.items()}
+    return ResonanceStart(tuned, estimates, [main_mode(tuned, r)[0] for r in resonances])
+
+
+def main_mode(machine: Machine, r: Resonance) -> tuple[float, float]:
+    """Find the mode that rings and moves the nozzle most along the axis, Hz and damping ratio."""
+    modes = machine.vibration.modes_at(np.array(r.place_mm))
+    most = int(np.argmax(np.abs(modes.nozzle[:, AXES.index(r.axis)]) * (modes.damping_ratios < RINGING)))
+    return float(modes.frequencies_hz[most]), float(modes.damping_ratios[most])

@@ -1,13 +1,11 @@
-"""Values with standard uncertainties, and propagation of uncertainty through a formula."""
+"""Values with standard uncertainties."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.numerics.least_squares import central_differences
 from models.arrays import FloatArray
 
 NINETY_PERCENT = 1.6449  # standard deviations to each side
@@ -32,7 +30,8 @@ class Estimate:
 
     def scaled(self, by: float) -> Estimate:
         """Return the estimate in another unit."""
-        return Estimate(by * self.value, by * self.sd, by * self.low, by * self.high)
+        low, high = sorted((by * self.low, by * self.high))
+        return Estimate(by * self.value, abs(by) * self.sd, low, high)
 
 
 def normal(value: float, sd: float) -> Estimate:
@@ -62,11 +61,3 @@ class Joint:
         """Each value by itself."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {name: normal(float(v), float(s)) for name, v, s in zip(self.names, self.values, sd, strict=True)}
-
-
-def through(function: Callable[[FloatArray], FloatArray], names: Sequence[str], inputs: Joint) -> Joint:
-    """Propagate covariance through a formula to first order (GUM, JCGM 100:2008, 5.2), by central differences."""
-    centre = np.asarray(function(inputs.values), dtype=float)
-    steps = 1e-2 * np.sqrt(np.maximum(np.diag(inputs.covariance), 0.0))
-    slope = central_differences(function, inputs.values, steps)
-    return Joint(tuple(names), centre, slope @ inputs.covariance @ slope.T)

@@ -244,9 +244,8 @@ def belts_panel(axes: Axes, belts: BeltComparison) -> None:
 def _label(belts: BeltComparison, number: int) -> str:
     test = belts.tests[number]
     peak = f"peak at {test.spectrum.frequency_hz[int(np.argmax(test.spectrum.value))]:.1f} Hz"
-    if belts.kind == "belt":
-        return f"axis={test.axis}, {peak}"
-    return f"tower {belts.nearest(test)} (axis={test.axis}), {peak}"
+    along = f"axis={test.axis}"
+    return f"{along if belts.kind == 'belt' else f'tower {belts.nearest(test)} ({along})'}, {peak}"
 
 
 def page_figure(fit: ScanFit) -> Figure:

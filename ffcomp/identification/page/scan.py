@@ -6,15 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
-from ffcomp.identification.page.fit import SCALE, PageFit, fit_page, machine_unknowns
+from ffcomp.identification.page.fit import SCALE, STRONG, PageFit, fit_page, machine_unknowns
 from ffcomp.identification.page.lines import read_lines
 from ffcomp.identification.page.picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
+from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Page, Plan, load_plan
@@ -23,7 +25,6 @@ from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.machine import Machine
 
-SECOND_MODE = 1.1  # times the expected ring
 FAR = 2.5  # of a prior's standard deviations
 USUAL_S = (4.0, 4.0, 12.0)  # of CPU: reading, where to begin, the fit
 
@@ -64,8 +65,9 @@ class ScanFit(MachineFit):
         """Modes at each place, and every parameter."""
         fit, facts = self.result, list[Fact]()
         if self.start.vibration.position_dependent:
-            for (x, y), modes in fit.modes.items():
-                words = "; ".join(f"{f} Hz, ζ {d}" for f, d in modes)
+            for place in fit.places:
+                x, y = place.position_mm
+                words = "; ".join(f"{mode.frequency_hz} Hz, ζ {mode.damping_ratio}" for mode in place.modes)
                 facts.append((f"at {x:.0f}, {y:.0f} mm", words))
         facts += number_facts(fit.estimates)
         return [*facts, ("Friction", "dry friction of the guides is in the file too")] if fit.friction else facts
@@ -98,10 +100,22 @@ def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str],
 
 def _file_text(origin: Origin, result: PageFit) -> str:
     """Write the file of the numbers that a picture of a page gives."""
+    parameters: dict[str, Estimate | list[Estimate]] = {**result.estimates}
+    others: dict[str, Any] = {f"effects.coulomb_friction.{key}": value for key, value in result.friction.items()}
+    notes = dict[str, str]()
+    for key in (f"axes.{axis}" for axis in result.second):
+        for kind in ("frequency_hz", "damping_ratio"):
+            names = (f"{key}.{kind}[{i}]" for i in range(2))
+            parameters[f"{key}.{kind}"] = [result.estimates[name] for name in names if parameters.pop(name)]
+        del parameters[f"{key}.share[1]"]
+        share = result.estimates[f"{key}.share[1]"]
+        others[f"{key}.share"] = [round(1.0 - share.value, 3), round(share.value, 3)]
+        notes[f"{key}.share"] = origin.note([share], "scan")
     return origin.text_of(
-        result.estimates,
+        parameters,
         "scan",
-        {f"effects.coulomb_friction.{key}": value for key, value in result.friction.items()},
+        others,
+        notes,
         lines=len(result.lines),
         explained_share=float(f"{result.explained:.3g}"),
         hardly_determined=list(result.kept),
@@ -144,7 +158,7 @@ def _advice(start: Machine, result: PageFit) -> list[str]:
         )
     for axis in "xy":
         ring = result.bead[f"ring_{axis}"]
-        if ring.low > SECOND_MODE:
+        if ring.low > 1.0 + STRONG:
             sentences.append(
                 f"{axis} rings {ring.value:.2f} times ({ring.low:.2f} to {ring.high:.2f}) as much as the file's modes "
                 "would: it has another, quicker mode, which is strong and hardly shows on the page. Measure it with an "

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from ffcomp.errors import MeasurementError, RequestError
+from ffcomp.identification.machine_fit import Origin
 from ffcomp.identification.page.fit import _swept, fit_page
 from ffcomp.identification.page.lines import ENDS_MM, STEP_MM, ReadLine, read_lines
 from ffcomp.identification.page.picture import find_page, read_picture
-from ffcomp.identification.page.scan import ScanFit, _advice, fit_pictures
+from ffcomp.identification.page.scan import ScanFit, _advice, _file_text, fit_pictures
 from ffcomp.identification.request import ScanRequest
 from ffcomp.record.page import DISC, PageRequest, discs_of, last_line, make_page, twins
 from ffcomp.record.plan import Plan, save_plan
@@ -54,6 +55,16 @@ STIFF = Plant(
 QUICK = replace(
     PRINTER, carriage_kg=(0.4, 0.33), guide_n_s_per_m=(13.0, 16.0), friction_n=(0.14, 0.1), bristle_n_per_m=2e4
 )
+TWO_MASSES = Plant(
+    carriage_kg=(0.375, 0.6),
+    tool_kg=(0.125, 0.0),
+    belt_n_per_m=(53_400.0, 45_900.0),
+    mount_n_per_m=(22_550.0, 1.0),
+    mount_n_s_per_m=(5.3, 0.0),
+    guide_n_s_per_m=(19.6, 19.9),
+    friction_n=(0.12, 0.1),
+    bristle_n_per_m=6e4,
+)  # x rings at 46.9 and 86.6 Hz, y at 44.0
 COARSE = replace(SCANNER, dpi=300.0, dust=50, margin_mm=6.0)
 
 
@@ -154,6 +165,24 @@ def test_two_cells_tell_frequencies_far_from_the_file(machine: Machine, printer:
         frequency = fit.estimates[f"axes.{name}.frequency_hz[0]"]
         assert frequency.value == pytest.approx(printer.axis_modes(axis)[0][0], rel=0.02)
         assert frequency.relative_sd < 0.02
+
+
+def test_a_strong_second_mode_is_written_and_none_where_there_is_none() -> None:
+    """Taken for more ringing of the first mode, it lowered the first one's damping by 28 %."""
+    machine, plan = load_machine("ender-3"), make_page(load_machine("ender-3"), PageRequest())
+    cells = replace(plan, experiments=tuple(each for each in plan.experiments if each.place < 2))
+    fit = fit_page(machine, lines_as_drawn(cells, TWO_MASSES, Bead(rough_mm=0.006), 0), 0.45)
+    assert fit.second == ["x"]
+    hz, dampings, (_, share) = TWO_MASSES.axis_modes(0)
+    for i in range(2):
+        assert fit.estimates[f"axes.x.frequency_hz[{i}]"].value == pytest.approx(hz[i], rel=0.02)
+        assert fit.estimates[f"axes.x.damping_ratio[{i}]"].value == pytest.approx(dampings[i], rel=0.15)
+    assert fit.estimates["axes.x.share[1]"].value == pytest.approx(share, abs=0.06)
+    (y,), (damping,), _ = TWO_MASSES.axis_modes(1)
+    assert fit.estimates["axes.y.damping_ratio[0]"].value == pytest.approx(damping, rel=0.15)
+    written = machine_of_text(_file_text(Origin(Path(machine.path), "scanned", [], "today"), fit), "scanned")
+    expected = sorted([y, *hz])
+    assert written.vibration.modes_at(np.zeros(2)).frequencies_hz == pytest.approx(expected, rel=0.02)
 
 
 Spoil = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
