@@ -53,7 +53,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/inverse/test_nonlinear.py",
     "unit/ffcomp/inverse/test_robust.py",
     "unit/ffcomp/inverse/test_time_scaling.py",
-    "unit/ffcomp/inverse/test_limited_window.py",
+    "unit/ffcomp/inverse/test_lq_preview.py",
     "unit/ffcomp/measurement/test_modes.py",
     "unit/ffcomp/record",
     "unit/ffcomp/report/test_diagnose.py",

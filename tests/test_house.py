@@ -13,7 +13,7 @@ import pytest
 from tests.conftest import TESTS, is_slow
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "control", "osqp", "cvxpy")
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "control", "cvxpy")
 
 
 @pytest.mark.parametrize("module", ["ffcomp", "ffcomp.cli.app"])

@@ -12,7 +12,6 @@ from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, ex
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.result import EqualQuality
 from ffcomp.comparison.sampling import Print, PrintSlice, accelerated
-from ffcomp.errors import SolverError
 from ffcomp.metrics import contour_statistics
 from models.machine import Machine
 
@@ -181,10 +180,7 @@ def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:
     """Command every slice; none where the command breaks a limit."""
     pieces: list[Piece] = []
     for each in slices:
-        try:
-            motion, _ = method.motion(each)
-        except SolverError:  # no command keeps the limits
-            return []
+        motion, _ = method.motion(each)
         if not within_limits(*motion.peaks(each.machine), each.machine):
             return []
         pieces.append((each, motion))

@@ -29,9 +29,7 @@ from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
 PlanOf = Callable[[Program], Trajectory]
-Ease = Callable[
-    [Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]
-]  # program around a cut, cut, layers before
+Ease = Callable[[Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]]  # around a cut; layers before
 
 REMEMBERED_S = 0.5  # of motion before a chunk: more than twice what the printer remembers
 LONGEST_S = 300.0  # of motion in a chunk
@@ -165,8 +163,10 @@ class _Known:
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
         slowed = self._slowed(knots, rest)
-        if slowed is not None and (fewer := slowed._clear_cut(self._position(knots).time_in(slowed.plan))):
-            return slowed._in_motion(fewer, rest)
+        if slowed is not None:
+            t = self._position(knots).time_in(slowed.plan)
+            if another := slowed._clear_cut(t) or slowed._clear_cut(slowed.plan.end_t - self._around_s):
+                return slowed._in_motion(another, rest)
         return self._cut(knots, rest)
 
     def _t(self, knots: int) -> float:

@@ -241,7 +241,7 @@ def of_section(
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > UTILISATION_TOLERANCE else ()
     return Statistics(
         windows=result.windows,
-        limited_windows=len(result.constrained),
+        limited_windows=len(result.limited),
         print_time_s=longer_s,
         warnings=warnings,
         slowed=tuple(each for each in solved.slowed if each.seconds > 0.0),

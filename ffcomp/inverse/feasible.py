@@ -1,4 +1,4 @@
-"""A section's command within all limits of machine and firmware: less of what is robust, or else more time."""
+"""A section's command within all limits of machine and firmware: less robust, or else more time."""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""The preview inverse: the same least squares, solved by dynamic programming with gains that depend on place only.
+"""The preview inverse: least squares, solved by dynamic programming with gains that depend on place only.
 
-In error coordinates q_d = q* + N γ the least squares of `limited_window.py` over a whole section is an optimal tracking
-problem (linear-quadratic, with preview). Its state holds the answer x to γ and the last two coefficients, its control
-is
+The firmware executes our G1 segments, so the command is a spline of degree 1 with a knot at the end of every segment.
+In error coordinates q_d = q* + N γ (q*: the reference carriage path, N: the hats of the spline) it is the γ of the
+least ‖ e₀ − Φ γ ‖² + ρ ‖ D² γ ‖², with Φ the hats' response and e₀ the error without them. Over a whole section this is
+an optimal tracking problem (linear-quadratic, with preview). Its state holds the answer x to γ and the last two
+coefficients, its control is
 
     w_k = γ_{k+1} − 2 γ_k + γ_{k−1}          z_k = (x_k, γ_k, γ_{k−1})          z_{k+1} = 𝒜 z_k + ℬ w_k
 

@@ -151,7 +151,6 @@ class Settings:
     lead_s: float = 0.008  # how long before the path's start the command may begin, at most
     tail_s: float = 0.004  # how long after the path's end the command comes to rest, at most
     compliance_s2: tuple[float, float, float] = (1.0, 1.0, 1.0)  # nozzle's lag per acceleration along X Y Z: mm s²/mm
-    corrections: int = 1  # of a window at a limit, by the executed segments
     robust: bool = False  # the robust reference instead of the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     one_model: bool = False  # that of the bed's middle everywhere

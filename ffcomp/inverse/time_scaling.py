@@ -7,6 +7,8 @@ A section whose command keeps all limits is unchanged. Otherwise, in a few round
     segments that the firmware cannot execute in their time                → those moves become slower
     none of these                                                          → done
 
+In later rounds the moves around join in, farther in each: whatever is slower has to be braked for.
+
 Lifts, and the travel next to them, may be late instead: that costs less, and the print time counts it.
 
 Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
@@ -27,7 +29,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from ffcomp.errors import LimitsError, SolverError
+from ffcomp.errors import LimitsError
 from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
@@ -45,7 +47,6 @@ from ffcomp.inverse.violations import (
     SOLVER_ACCURACY,
     TIMING,
     Violation,
-    command_violations,
     path_violations,
     solution_violations,
     timing_violations,
@@ -61,7 +62,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 Command = tuple[WrittenReference, Solution]  # of one plan
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
-ROUNDS = 8
+ROUNDS, LOCAL_ROUNDS = 24, 8  # from the latter on, the moves around join in
 EVENED = 3  # rounds; in each, more of the filament follows the command, before moves become slower
 PHASES = 4  # of the knots, where a path is sampled
 APART = 8  # moves: scaled ones that lie closer share a record
@@ -151,25 +152,26 @@ class ScaledSection:
             if not self._fit():
                 self.moves, self.plan, self.reasons = moves, plan, {}
             written, solution, violations = self._attempt(tolerance_mm, self._free())
-            solution = self._constrained(written, solution) if violations else solution
+            solution = self._solve(written) if violations else solution
         return written, solution
 
     def scale(self, tolerance_mm: float, first: Command | None = None) -> tuple[WrittenReference, Solution]:
         """Do the same without regard to where the written part ends."""
-        for _ in range(ROUNDS):
+        for number in range(ROUNDS):
             written, solution, violations = self._attempt(tolerance_mm, first or self._free())
             first = None
             if not violations:
                 return written, solution
             self._refuse_travel(written.reference, violations)
-            if not self._slow(written.reference, violations):  # the rest is near a cut: constrained, off the path
-                return written, self._constrained(written, solution)
+            reach = max(number - LOCAL_ROUNDS, 0)
+            if not self._slow(
+                written.reference, violations, reach
+            ):  # the rest is near a cut: constrained, off the path
+                return written, self._solve(written)  # a warning will say where a limit is still exceeded
             self._plan_again()
-        written, free, violations = self._attempt(tolerance_mm, self._free())
-        if self.extent != WHOLE:
-            return written, self._constrained(written, free)
+        written, _, violations = self._attempt(tolerance_mm, self._free())
         solution = self._solve(written)
-        if solution.utilisation > 1.0 + SOLVER_ACCURACY:
+        if self.extent == WHOLE and solution.utilisation > 1.0 + SOLVER_ACCURACY:
             line = self._line_of(written.reference, violations[0])
             raise LimitsError(
                 f"{line}: cannot be slowed enough: the command still needs {solution.utilisation:.2f}× a limit."
@@ -184,12 +186,6 @@ class ScaledSection:
             keep_response=self.request.keep_response,
             enforce_limits=enforce_limits,
         )
-
-    def _constrained(self, written: WrittenReference, free: Solution) -> Solution:
-        try:
-            return self._solve(written)
-        except SolverError:  # a warning will say where a limit is exceeded, and by how much
-            return free
 
     def _fit(self) -> bool:
         """Make the written part a whole number of segments by moves that are not near a cut; say whether they can."""
@@ -244,10 +240,7 @@ class ScaledSection:
         if violations:
             return written, solution, violations
         if not peak_utilisation(model, written, solution) <= 1.0:  # nor where it is not a number
-            try:
-                solution = self._solve(written)
-            except SolverError:  # no command keeps the limits
-                return written, solution, _among(command_violations(utilisation), written)
+            solution = self._solve(written)
             violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
         late = late_segments(model, written, solution.vertices, self._event_times)
         return written, solution, violations + _among(timing_violations(late), written)
@@ -282,18 +275,23 @@ class ScaledSection:
         touched = self._touched(reference, violation)
         return f"line {self.program.first_line + int(self.moves.line[touched[0]]) + 1}"
 
-    def _touched(self, reference: Reference, violation: Violation) -> IntArray:
-        """Return the moves under way from a segment before the violation to one after it; at least one."""
+    def _touched(self, reference: Reference, violation: Violation, reach: int = 0) -> IntArray:
+        """Return the moves under way from a segment before the violation to one after it; at least one.
+
+        reach : in segments, farther around it
+        """
         segment_s = self.model.settings.segment_s
-        begin = reference.t0 + (violation.first - 1) * segment_s
-        end = reference.t0 + (violation.last + 2) * segment_s
+        begin = reference.t0 + (violation.first - 1 - reach) * segment_s
+        end = reference.t0 + (violation.last + 2 + reach) * segment_s
         within = np.clip([begin, end], self.section.begin_t, self.section.end_t - 1e-9)
         first, last = self.plan.move_at(within)
         under_way = np.arange(first, last + 1)
         return under_way[self.plan.duration[under_way] > 0.0]
 
-    def _slow(self, reference: Reference, violations: list[Violation]) -> bool:
+    def _slow(self, reference: Reference, violations: list[Violation], reach: int) -> bool:
         """Make the moves of the violations slower; of several factors, a move gets the smallest.
+
+        reach : in segments around the violations: what is slower has to be braked for, on the moves before it
 
         Returns
         -------
@@ -301,7 +299,7 @@ class ScaledSection:
         """
         by_speed, by_acceleration = np.ones(len(self.moves)), np.ones(len(self.moves))
         for violation in violations:
-            touched = self._touched(reference, violation)
+            touched = self._touched(reference, violation, reach)
             if violation.limit == TIMING:
                 touched = self._with_separate_limits(touched)
             touched = touched[~self._fixed[touched]]

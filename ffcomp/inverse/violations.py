@@ -62,7 +62,7 @@ def solution_violations(
     free : (n, 3, 3), the utilisation by the command without limits
     """
     left = utilisation_from_rest(solution.vertices, limits)[1:-1]
-    for window in solution.constrained:
+    for window in solution.limited:
         inside = slice(window.first, window.last + 1)
         if window.error_mm <= tolerance_mm and not (left[inside] > 1.0 + SOLVER_ACCURACY).any():
             continue

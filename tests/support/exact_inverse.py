@@ -1,31 +1,24 @@
-"""A reference for the inverse: each window's least squares without limits, by QR, with the models of every knot."""
+"""A reference for the inverse: the least squares of windows, by QR, with the plant scheduled at every knot.
+
+In error coordinates q_d = q* + N γ (q*: the reference carriage path, N: hats on the knots of the segments), a window
+minimises ‖ e₀ − Φ γ ‖² + ρ ‖ D² γ ‖² with Φ = J G N, and e₀ the error with γ = 0. Then the actual segments are executed
+through the plant (ramps, chords, J̇ q̇), and the same problem is solved for the remaining error, twice.
+
+Duan, Yoon & Okwudire, A limited-preview filtered B-spline approach to tracking control, Mechatronics 56 (2018) 287-296.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ffcomp.inverse.command_limits import peak_utilisation
-from ffcomp.inverse.limited_window import WindowProblem
-from ffcomp.inverse.model import InverseModel, Iterate
+from ffcomp.inverse.gains import segment_response
+from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
 
-
-class FreeWindow(WindowProblem):
-    """A window without limits."""
-
-    def step(self, matrix: FloatArray, left: FloatArray) -> FloatArray:
-        return np.linalg.lstsq(matrix, left, rcond=None)[0]
-
-
-def next_window(iterate: Iterate, at: int, state: FloatArray, commit: int = 64, preview: int = 24) -> FreeWindow:
-    """The window after the knot `at`: `commit` segments that are kept, and `preview` more."""
-    commit_end = min(at + commit, iterate.last)
-    if iterate.last - commit_end < preview // 2:
-        commit_end = iterate.last  # a short remainder joins this window
-    end = min(commit_end + preview, iterate.n)
-    return FreeWindow(iterate, at, state, commit_end, min(end, iterate.last - 1) - at, end)
+CORRECTIONS = 2
 
 
 def solve_exactly(
@@ -34,9 +27,43 @@ def solve_exactly(
     """Solve a section window by window, from the plant's state (18,) at its first knot."""
     iterate, responses, windows, at = Iterate(model, reference), [np.empty((0, 3))], 0, 0
     while at < iterate.last:
-        window = next_window(iterate, at, state, commit, preview)
-        response, state = window.solve()
+        commit_end = min(at + commit, iterate.last)
+        if iterate.last - commit_end < preview // 2:
+            commit_end = iterate.last  # a short remainder joins this window
+        response, state = _window(iterate, at, state, commit_end, min(commit_end + preview, iterate.n))
         responses.append(response)
-        windows, at = windows + 1, window.commit_end
+        windows, at = windows + 1, commit_end
     utilisation = peak_utilisation(iterate.vertices, model.limits)
     return Solution(iterate.vertices, state, np.concatenate(responses), windows, utilisation)
+
+
+def _window(iterate: Iterate, at: int, state: FloatArray, commit_end: int, end: int) -> tuple[FloatArray, FloatArray]:
+    """Set γ of the knots after `at`; return the response (mm) up to `commit_end` and the state there."""
+    s, window, unknowns = iterate.model.settings, KnotWindow(iterate, at, end), min(end, iterate.last - 1) - at
+    response, states = window.respond(state)
+    if unknowns > 0:
+        weight = np.sqrt(iterate.model.control_weight)
+        bends = np.kron(np.diff(np.eye(unknowns + 4), 2, axis=0)[:, 2:-2], np.eye(3))
+        matrix = np.concatenate([_phi(iterate.model, window, unknowns), weight * bends])
+        for _ in range(1 + CORRECTIONS):
+            around = np.pad(iterate.gamma, ((2, 2), (0, 0)))[at + 1 : at + unknowns + 5]
+            left = [window.error(response).ravel(), -weight * np.diff(around, 2, axis=0).ravel()]
+            step = np.linalg.lstsq(matrix, np.concatenate(left), rcond=None)[0]
+            iterate.gamma[at + 1 : at + 1 + unknowns] += step.reshape(-1, 3)
+            response, states = window.respond(state)
+    shown = min(end, iterate.last) - at
+    iterate.vertices[at : at + shown + 1] = window.vertices()[: shown + 1]
+    return response[: (commit_end - at) * s.substeps], states[commit_end - at]
+
+
+def _phi(model: InverseModel, window: KnotWindow, unknowns: int) -> FloatArray:
+    """Φ (rows, 3 unknowns) with the models at the places of its intervals; of γ the window's first knot is given."""
+    after, seen = segment_response(*model.plant_at(window.place), model.settings.rows_per_segment)
+    hats = np.zeros((len(after) + 1, 3, 3 * unknowns))
+    hats[1 : unknowns + 1] = np.eye(3 * unknowns).reshape(-1, 3, 3 * unknowns)
+    state, phi = np.zeros((after.shape[1], 3 * unknowns)), []
+    for k in range(len(after)):
+        known = np.concatenate([state, hats[k], hats[k + 1]])
+        state, nozzle = after[k] @ known, seen[k] @ known
+        phi.append(nozzle)
+    return np.concatenate(phi)

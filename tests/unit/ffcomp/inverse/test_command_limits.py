@@ -1,4 +1,4 @@
-"""What a command asks of the carriages, against dense sampling; the programme that holds it, against cvxpy."""
+"""What a command asks of the carriages, against dense sampling; the nearest that keeps the limits, against cvxpy."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import sparse
 
-from ffcomp.errors import SolverError
 from ffcomp.inverse.command_limits import (
     ACCELERATION,
     TRAVEL,
@@ -19,7 +17,7 @@ from ffcomp.inverse.command_limits import (
     peak_utilisation,
     utilisation_from_rest,
 )
-from ffcomp.inverse.qp import constrained_step, solve_qp
+from ffcomp.inverse.nearest import nearest_within_limits
 from models.file import load_machine
 from models.machine import Machine
 
@@ -89,82 +87,48 @@ def test_shares_name_the_limit_that_binds(machine: Machine) -> None:
     assert peak_utilisation(up, limits) == shares.max() == pytest.approx(125 / S / 2e4)
 
 
-def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
+def test_the_nearest_command_is_the_one_cvxpy_finds(machine: Machine) -> None:
     """Velocity, acceleration and travel at once, at the ends of every segment."""
     rng = np.random.default_rng(5)
     n, delta = 12, machine.kinematics.compiled()
-    start = delta.inverse(np.array([[20.0, -30, 5]]))
-    command = start + np.cumsum(np.cumsum(rng.normal(0, 0.02, (n + 4, 3)), axis=0), axis=0)
-    a = rng.normal(size=(60, 3 * n))
-    hessian, gradient = a.T @ a, rng.normal(size=3 * n) * 40
-    top = float(command.max()) + 0.2
+    command = np.zeros((n + 4, 3))
+    rough = np.cumsum(np.cumsum(rng.normal(0, 0.04, (n, 3)), axis=0), axis=0)
+    hump = np.linspace(0.0, np.pi, n)[:, None]
+    command[2:-2] = rough - hump / np.pi * rough[-1] + 0.4 * np.sin(hump)
+    command += delta.inverse(np.array([[0.0, 0.0, 5]]))
+    path = np.linspace(command[1], command[-2], n + 2)
+    top = 0.5 * float(command.max() + path.max())
+    assert command.max() > path.max() + 0.02
     limits = replace(
         CommandLimits.of(machine, S),
         velocity_mm_per_s=np.full(3, 125.0),
         acceleration_mm_per_s2=9000.0,
         travel_mm=(0.0, top),
     )
-    tried = command.copy()
-    tried[2:-2] += np.linalg.solve(hessian, gradient).reshape(-1, 3)
-    assert (limits.demand(delta.forward(tried)).utilisation(limits).max(axis=(0, 2)) > 1.0).sum() >= 2  # limits bind
-    step = constrained_step(hessian, gradient, command, command, limits, delta)
+    free = delta.forward(command[1:-1])
+    assert (utilisation_from_rest(free, limits).max(axis=(0, 2)) > 1.0).sum() >= 2  # limits bind
+    found = nearest_within_limits(free, delta.forward(path), limits, delta)
 
     d = cp.Variable((n, 3))
-    u = cp.vstack([command[:2], command[2:-2] + d, command[-2:]])
+    u = cp.vstack([command[1:2], command[1:2], command[2:-2] + d, command[-2:-1], command[-2:-1]])
     margin = 1.0 - 2e-3
     held = [
         cp.abs(u[1:] - u[:-1]) / S <= margin * 125.0,
         cp.abs(u[2:] - 2 * u[1:-1] + u[:-2]) / S**2 <= margin * 9000.0,
         u[2:-2] <= top - 1e-3,
     ]
-    flat = cp.reshape(d, (3 * n,), order="C")
-    cp.Problem(cp.Minimize(0.5 * cp.sum_squares(a @ flat) - gradient @ flat), held).solve(solver=cp.CLARABEL)
-    np.testing.assert_allclose(step.reshape(-1, 3), d.value, atol=2e-3)  # straight carriages are not straight lines
-    tried[2:-2] = command[2:-2] + step.reshape(-1, 3)
-    assert (
-        limits.demand(delta.forward(tried)).utilisation(limits).max() <= 1.002
-    )  # a step of mm changes what o and c are
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(d)), held)
+    problem.solve(solver=cp.CLARABEL)
+    assert problem.status == cp.OPTIMAL
+    moved = delta.inverse(found)[1:-1] - command[2:-2]
+    np.testing.assert_allclose(moved, d.value, atol=2e-3)  # straight carriages are not straight lines
+    assert peak_utilisation(found, limits) <= 1.0
 
 
-def test_given_knots_that_leave_no_room_are_an_error(machine: Machine) -> None:
+def test_where_no_command_keeps_the_limits_the_nearest_exceeds_one(machine: Machine) -> None:
     delta = machine.kinematics.compiled()
-    command = np.repeat(delta.inverse(np.zeros((1, 3))), 6, axis=0)
-    command[3:] += 50.0  # two unknown knots for a jump of 50 mm
-    flat = np.repeat(command[:1], 6, axis=0)
+    jump = np.repeat(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0]]), 2, axis=0)  # two unknown knots for 50 mm
     limits = replace(CommandLimits.of(machine, S), velocity_mm_per_s=np.full(3, 100.0))
-    with pytest.raises(SolverError, match="6 unknowns"):
-        constrained_step(np.eye(6), np.zeros(6), command, flat, limits, delta)
-
-
-# ---- qp ----
-
-
-def problem(seed: int) -> tuple[FloatArray, FloatArray, sparse.csc_matrix, FloatArray, FloatArray]:
-    rng = np.random.default_rng(seed)
-    n, m = 20, 35
-    factor = rng.normal(size=(40, n))
-    rows = np.where(rng.random((m, n)) < 0.3, rng.normal(size=(m, n)), 0.0) + np.eye(m, n)
-    middle = rows @ rng.normal(0, 0.1, n)  # something is allowed
-    low, high = middle - rng.uniform(0.05, 0.5, m), middle + rng.uniform(0.05, 0.5, m)
-    low[:4], high[4:8] = -np.inf, np.inf
-    return factor.T @ factor, 30.0 * rng.normal(size=n), sparse.csc_matrix(rows), low, high
-
-
-def test_units_do_not_matter() -> None:
-    """Unknowns in mm or nm, rows in any unit, an objective of any size: the same answer."""
-    p, q, a, low, high = problem(4)
-    rng = np.random.default_rng(9)
-    unknown, row, size = 10.0 ** rng.uniform(-6, 6, len(q)), 10.0 ** rng.uniform(-4, 4, len(low)), 1e-7
-    odd = sparse.csc_matrix(a.multiply(row[:, None]).multiply(unknown[None, :]))
-    scaled = size * p * np.outer(unknown, unknown), size * q * unknown
-    plain = solve_qp(p, q, a, low, high)
-    found = unknown * solve_qp(*scaled, odd, low * row, high * row)
-    np.testing.assert_allclose(found, plain, atol=1e-6)
-
-
-def test_no_answer_is_an_error_with_solver_status_and_size() -> None:
-    a = sparse.csc_matrix(np.array([[1.0, 0.0], [1.0, 0.0]]))
-    low, high = np.array([1.0, -np.inf]), np.array([np.inf, -1.0])
-    with pytest.raises(SolverError, match=r"2 unknowns and 2 rows ended in osqp as «.*infeasible.*»") as caught:
-        solve_qp(np.eye(2), np.ones(2), a, low, high)
-    assert caught.value.exit_code == 7
+    found = nearest_within_limits(jump, np.zeros((4, 3)), limits, delta)
+    np.testing.assert_allclose(found[[0, -1]], jump[[0, -1]], atol=1e-9)
+    assert np.all(np.isfinite(found)) and peak_utilisation(found, limits) > 1.0

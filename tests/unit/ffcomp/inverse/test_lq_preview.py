@@ -1,4 +1,4 @@
-"""Windows and their limits against brute force, closed forms and a second solver."""
+"""The preview inverse, against the least squares of windows, brute force, closed forms and a second solver."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
+from ffcomp.inverse.violations import solution_violations
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
@@ -27,8 +28,7 @@ from tests.support.exact_inverse import solve_exactly
 
 FloatArray = NDArray[np.float64]
 
-SETTINGS = Settings(corrections=0)  # the bare least squares
-USUAL = Settings()
+SETTINGS = Settings()
 CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"
 
 
@@ -54,24 +54,24 @@ def reference_of(
 
 @pytest.mark.parametrize("exact", [True, False])
 def test_the_response_is_the_path(machine: Machine, exact: bool) -> None:
-    inverter = InverseModel(machine, USUAL)
-    reference = reference_of(CORNER, machine, USUAL)
+    inverter = InverseModel(machine, SETTINGS)
+    reference = reference_of(CORNER, machine, SETTINGS)
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     solved = solve_exactly(inverter, reference, state) if exact else None
     result = solved or solve(inverter, reference, state, keep_response=True)
     nozzle, velocity = reference.substeps(0, reference.knots)
-    plain, _ = inverter.plant.respond(nozzle, velocity, state, USUAL.substeps)
+    plain, _ = inverter.plant.respond(nozzle, velocity, state, SETTINGS.substeps)
     error = np.sqrt(np.mean(np.sum((result.response - nozzle[1:]) ** 2, axis=1)))
     without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
     assert error < without / 60
-    assert result.utilisation < 1.0 and len(result.constrained) == 0
+    assert result.utilisation < 1.0
 
 
 @pytest.mark.parametrize("limit", [ACCELERATION, VELOCITY, TRAVEL])
 def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: int) -> None:
     """The free answer asks for more than the plan; half of that is allowed, and no more is taken at any instant."""
     late_s = 0.006 if limit == VELOCITY else 0.004  # a late start asks for much
-    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=late_s)
+    settings = replace(SETTINGS, bandwidth_hz=112.0, lead_s=late_s)
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     gcode = {VELOCITY: b"G1 X-20 Y0 Z20 F9000\n", TRAVEL: b"G1 X-50 Y20 F9000\n"}.get(limit, CORNER)
     reference = reference_of(gcode, machine, settings)
@@ -92,17 +92,18 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
         bound = replace(own, **{names[limit]: share * getattr(own, names[limit])})
     held_inverter = InverseModel(replace(machine, limits=bound), settings)
     held = solve(held_inverter, reference, state, keep_response=True)
-    assert len(held.constrained) > 0 and held.constrained
+    assert held.limited
     assert peak_utilisation(free.vertices, held_inverter.limits) > 1.0
     assert held.utilisation <= 1.0
     nozzle, _ = reference.substeps(0, reference.knots)
     assert np.abs(held.response - nozzle[1:]).max() < 0.1  # it still follows
+    worst = max(each.error_mm for each in held.limited)
+    beyond = utilisation_from_rest(free.vertices, held_inverter.limits)[1:-1]
+    for share, slows in ((1.1, False), (0.9, True)):  # the tolerance decides between an error and a delay
+        assert any(solution_violations(held, beyond, share * worst, held_inverter.limits)) == slows
     again = solve(held_inverter, reference, state, enforce_limits=False)
-    assert len(again.constrained) == 0
+    assert len(again.limited) == 0
     np.testing.assert_array_equal(again.vertices, free.vertices)
-
-
-# ---- lq preview ----
 
 
 PRINTS = Path(__file__).parents[4] / "sample_prints"
@@ -140,11 +141,11 @@ def at_rows(response: FloatArray, settings: Settings) -> FloatArray:
 @pytest.mark.parametrize("name", ["far_star"])
 def test_it_is_the_exact_inverse_within_a_micrometre(machine: Machine, name: str) -> None:
     settings = settings_for(machine)
-    inverter, deep = InverseModel(machine, settings), InverseModel(machine, replace(settings, corrections=2))
+    inverter = InverseModel(machine, settings)
     apart = []
     for reference in references(name, machine, settings, 2.5):
         state = machine.equilibrium(reference.at_knots(np.array([0]))[0])
-        pair = solved(inverter, reference), solve_exactly(deep, reference, state, preview=40)
+        pair = solved(inverter, reference), solve_exactly(inverter, reference, state, preview=40)
         nozzles = [at_rows(each.response, settings) for each in pair]
         apart.append(np.sqrt(((nozzles[0] - nozzles[1]) ** 2).sum(axis=1)))
     micrometres = 1e3 * np.concatenate(apart)
