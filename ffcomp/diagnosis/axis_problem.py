@@ -163,8 +163,8 @@ class AxisProblem(Problem):
         return motion.sensed(machine)
 
     def compared(self) -> AxisProblem:
-        """Return the problem of the forces, where a known force drives an axis that nothing holds."""
-        driven = any(bool(one.run.drive.any()) for one in self.shots) and all(one.length for one in self.shots)
+        """Return the problem of the forces, where a known force drives an axis without a spring to the ground."""
+        driven = driven_axis(self.machine).free and any(bool(one.run.drive.any()) for one in self.shots)
         return self.by_force() if driven else self
 
     def by_force(self) -> AxisProblem:
@@ -209,25 +209,34 @@ class ForceBalance(AxisProblem):
         self.shots = [self._compared(one, axis) for one in shots]
         self.band_hz = (0.0, band_of([replace(one, length=0) for one in self.shots])[1])  # a constant force is one too
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
-        density = self._force_density(problem, axis)
-        self.band_hz = (0.0, min(self.band_hz[1], self._last_heard(density)))
-        loads, self._kept = self._least_density(["pos_q"]) if axis.load_mass_kg else {}, {}
-        self.least_density = {**loads, "force": density}
+        self.least_density, self._kept = self._densities(problem, axis), {}
+        self.band_hz = (0.0, min(self.band_hz[1], self._last_heard(self.least_density["force"])))
 
-    def _force_density(self, problem: AxisProblem, axis: DrivenAxis) -> FloatArray:
-        """Return the density of the noise of forces, (k,) N²/Hz: of the drive's, and of the one that a motion needs.
+    def _densities(self, problem: AxisProblem, axis: DrivenAxis) -> dict[str, FloatArray]:
+        """Return the density of the noise of forces and of a load's place, (k,) N²/Hz and mm²/Hz at `noise_grid`.
 
-        An encoder's noise becomes a force by the axis' inverse response, m s² + c s + k: it rises with frequency.
+        Encoders' noise becomes a force by the axis' inverse response, m s² + c s + k, which rises with frequency; that
+        of a motor takes its load along by the coupling's resonance. Beside it, no sensor's: no simulation is nearer.
         """
-        s, band = 2j * np.pi * noise_grid(self.observations), self.band_hz[1]
-        needed = np.abs(axis.mass_kg * s**2 + axis.ground_damping * s + axis.spring_n_per_m) ** 2
-        places = [(one.run.position.get("pos_motor", _way(one.run)), one.run.sample_rate_hz) for one in problem.shots]
-        forces = [(one.run.signals["force"], one.run.sample_rate_hz) for one in self.shots]
-        encoder, force = (
-            float(np.median([2 * noise_sd(x) ** 2 / rate for x, rate in each])) for each in (places, forces)
-        )
-        size = float(np.mean([np.mean(x**2) for x, _ in forces]))
-        return np.asarray(1e-6 * needed * encoder + force + SIMULATION_ERROR**2 * size / band)
+        s, mass = 2j * np.pi * noise_grid(self.observations), axis.load_mass_kg or 0.0
+        pull = (axis.coupling_stiffness_n_per_m or 0.0) + axis.coupling_damping_n_s_per_m * s if mass else 0.0 * s
+        response = axis.mass_kg * s**2 + axis.ground_damping * s + axis.spring_n_per_m + pull
+
+        def density(columns: Sequence[FloatArray]) -> float:
+            rates = [one.run.sample_rate_hz for one in self.shots]
+            return float(np.median([2 * noise_sd(x) ** 2 / rate for x, rate in zip(columns, rates, strict=True)]))
+
+        def error(name: str) -> float:
+            known = [one.without_beginnings(one.run.signals)[name] for one in self.shots]
+            return float(np.mean([np.mean(x**2) for x in known]) * SIMULATION_ERROR**2 / self.band_hz[1])
+
+        motor = density([one.run.position.get("pos_motor", _way(one.run)) for one in problem.shots])
+        load = density([_way(one.run) for one in problem.shots]) if mass else 0.0
+        encoders = 1e-6 * (np.abs(response) ** 2 * motor + np.abs(pull) ** 2 * load)
+        found = {"force": encoders + density([one.run.signals["force"] for one in self.shots]) + error("force")}
+        if mass:
+            found["pos_q"] = load + np.abs(pull / (mass * s**2 + pull)) ** 2 * motor + error("pos_q")
+        return found
 
     def _last_heard(self, noise: FloatArray) -> float:
         """Return the frequency, Hz, beyond which the drive's force is below the noise of what the motion needs."""
@@ -245,7 +254,7 @@ class ForceBalance(AxisProblem):
         apart = float(np.mean(twist))  # of two encoders' zeros
         run = replace(run, position={"pos_q": twist - apart})
         begin = one.begin - np.array([apart, 0.0, 0.0, 0.0])
-        return replace(one, run=run, begin=begin, began={"pos_q": load_began(axis, one)})
+        return replace(one, run=run, begin=begin, began={"pos_q": load_began(axis, one)} if one.length else {})
 
     def _read(self, machine: Machine, coarse: bool, run: int) -> dict[str, FloatArray]:
         """Return the drive's force F̂ that the measured motion of a run needs, and where that takes a load.

@@ -27,23 +27,9 @@ from ffcomp.diagnosis.fidelity import (
     linearised,
     parsimonious_fit,
 )
-from ffcomp.diagnosis.fit import (
-    EstimationProblem,
-    Fit,
-    by_deviance,
-    estimation_problem,
-    fit,
-    intervals_of,
-    superfluous,
-)
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, by_deviance, estimation_problem, fit, intervals_of, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, OtherMotion, hold_out, other_motions
-from ffcomp.diagnosis.hypotheses import (
-    FILE_CHANGES,
-    Hypothesis,
-    competing_with,
-    likeliest,
-    worth,
-)
+from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, likeliest, worth
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
 from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording

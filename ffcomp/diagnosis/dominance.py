@@ -21,12 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.diagnosis.acceptance import unfounded
-from ffcomp.diagnosis.fit import (
-    EstimationProblem,
-    Fit,
-    intervals_of,
-    solved,
-)
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of, solved
 from ffcomp.diagnosis.held_out import (
     Groups,
     HeldOut,

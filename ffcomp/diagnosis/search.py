@@ -18,13 +18,7 @@ from itertools import product
 
 import numpy as np
 
-from ffcomp.diagnosis.fidelity import (
-    QUICK_GAIN,
-    RENEWED,
-    continue_fit,
-    fit_exactly,
-    hypothesis_in_whole,
-)
+from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly, hypothesis_in_whole
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.held_out import left_elsewhere
 from ffcomp.diagnosis.hypotheses import (
