@@ -1,13 +1,11 @@
 """Read logs of Klipper's data logger: motion and sensors.
 
-It writes a log, `NAME.json.gz`, and next to it an index, `NAME.index.gz`. Both are gzip streams
-of JSON objects with a byte 3 behind each. The first object of the index holds the status of the whole printer, its
-configuration included. Of the log's messages `{"q": ID, "params": {...}}` these are read:
+It writes a log, `NAME.json.gz`, and next to it an index, `NAME.index.gz`, which is not needed. The log is a gzip stream
+of JSON objects with a byte 3 behind each. Of its messages `{"q": ID, "params": {...}}` these are read:
 
 | ID | what |
 |---|---|
 | `trapq:toolhead` | the commanded nozzle: constant accelerations, before the input shaper |
-| `stepq:<stepper>` | what a motor did, the shaper included |
 | `accelerometer:<name>` | mm/s², gravity in it, the chip's axes turned as the configuration says |
 
 All times are print times. A log that was cut off is read as far as it goes.
@@ -51,15 +49,6 @@ class Nozzle:
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
-    """What a motor did: m steps."""
-
-    time_s: FloatArray  # (m,) print time
-    position_mm: FloatArray  # (m,) after each step, as the firmware counts it
-    step_mm: float
-
-
-@dataclass(frozen=True, eq=False)
 class Samples:
     """What an accelerometer measured."""
 
@@ -74,9 +63,7 @@ class MotionLog:
 
     source: str
     nozzle: Nozzle
-    steps: Mapping[str, Steps]  # by the stepper's name: stepper_a, stepper_x, …
     sensors: Mapping[str, Samples]  # by the chip's name
-    settings: Mapping[str, Mapping[str, Any]]  # the configuration's sections; empty: there was no index
 
 
 def is_motion_log(path: str | Path) -> bool:
@@ -93,14 +80,14 @@ def is_index(path: str | Path) -> bool:
 
 
 def read_motion_log(path: str | Path) -> MotionLog:
-    """Read a log, and the index next to it if there is one.
+    """Read a log.
 
     Raises
     ------
     MeasurementError
         For a file that is no such log, or lacks motion or accelerations.
     """
-    messages: dict[str, dict[str, list[dict[str, Any]]]] = {"trapq": {}, "stepq": {}, "accelerometer": {}}
+    messages: dict[str, dict[str, list[dict[str, Any]]]] = {"trapq": {}, "accelerometer": {}}
     for message in _objects(path):
         (kind, _, name), params = str(message.get("q", "")).partition(":"), message.get("params")
         if kind in messages and isinstance(params, dict) and params.get("data"):
@@ -118,9 +105,7 @@ def read_motion_log(path: str | Path) -> MotionLog:
     return MotionLog(
         str(path),
         _nozzle([row for each in moves for row in each["data"]]),
-        {name: _steps(parts) for name, parts in messages["stepq"].items()},
         {name: _samples(parts) for name, parts in messages["accelerometer"].items()},
-        _settings(path),
     )
 
 
@@ -154,46 +139,9 @@ def _nozzle(rows: list[list[Any]]) -> Nozzle:
     return Nozzle(begin, lasts, speed, acceleration, start, direction)
 
 
-def _steps(messages: list[dict[str, Any]]) -> Steps:
-    times, positions = [], []
-    for each in messages:
-        rows = np.array(each["data"], dtype=np.float64)[:, :3]
-        if not rows[:, 1].all():  # the position was set, as in homing
-            continue
-        clocks = _clocks(float(each["first_clock"]), rows)
-        span = max(float(each["last_clock"]) - float(each["first_clock"]), 1.0)
-        rate = (float(each["last_step_time"]) - float(each["first_step_time"])) / span
-        times.append(float(each["first_step_time"]) + (clocks - float(each["first_clock"])) * rate)
-        moved = np.cumsum(np.repeat(np.sign(rows[:, 1]), np.abs(rows[:, 1]).astype(np.int64)))
-        positions.append(float(each["start_position"]) + moved * float(each["step_distance"]))
-    nothing = np.empty(0)
-    step = float(messages[0]["step_distance"])
-    return Steps(np.concatenate([nothing, *times]), np.concatenate([nothing, *positions]), step)
-
-
-def _clocks(first: float, rows: FloatArray) -> FloatArray:
-    """Return the clock of every step: |count| times the interval, which grows by `add` each time."""
-    clock, clocks = first - rows[0, 0], []
-    for interval, count, add in rows.tolist():
-        k = np.arange(1, abs(int(count)) + 1)
-        steps = clock + interval * k + add * (k * (k - 1) // 2)
-        clocks.append(steps)
-        clock = float(steps[-1])
-    return np.concatenate(clocks)
-
-
 def _samples(messages: list[dict[str, Any]]) -> Samples:
     rows = np.concatenate([np.array(each["data"], dtype=np.float64)[:, :4] for each in messages])
     counts = [float(each.get("overflows", 0)) + float(each.get("errors", 0)) for each in messages]
     ends = [float(each["data"][-1][0]) for each in messages]
     lost = [end for end, count, before in zip(ends, counts, [counts[0], *counts], strict=False) if count > before]
     return Samples(rows[:, 0], rows[:, 1:] * 1e-3, np.array(lost))
-
-
-def _settings(path: str | Path) -> dict[str, dict[str, Any]]:
-    index = Path(str(path).removesuffix(ENDINGS[0]) + ENDINGS[1])
-    if not index.is_file():
-        return {}
-    status = next(_objects(index), {}).get("status", {})
-    settings = status.get("configfile", {}).get("settings", {})
-    return {str(name): dict(section) for name, section in settings.items()}

@@ -3,7 +3,7 @@
 A capture's name identifies its execution. One that holds several, or bears no name of the plan (a phone or a logger
 that ran all the time, a file that was renamed), is searched for every experiment's motion below 20 Hz, whichever way
 the sensor is turned, in the plan's order. In a log of Klipper's data logger the commanded nozzle identifies it,
-exactly in time; there the motors' steps are the authority on the command: where they differ, a shaper was on.
+exactly in time.
 """
 
 from __future__ import annotations
@@ -15,20 +15,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, fftconvolve, sosfiltfilt
+from scipy.signal import fftconvolve
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
 from ffcomp.measurement.faults import fault
-from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps, is_index, is_motion_log, read_motion_log
+from ffcomp.measurement.printer_logs import MotionLog, Samples, is_index, is_motion_log, read_motion_log
 from ffcomp.measurement.table import Table
 from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.clock import Expectation, Matches, every_clock, known_clock, peaks, thinned
 from ffcomp.record.plan import Commanded, Experiment, Plan, run_name
 from models.arrays import FloatArray
-from models.kinematics.base import Kinematics
-from models.machine import Machine
 
 MOST_MISSING = 0.02  # rows in the motion
 LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
@@ -45,7 +42,6 @@ class Execution:
     experiment: Experiment
     repeat: int
     chip: str
-    motion: Commanded  # the command: the experiment's, or as the motors executed it
     start: tuple[float, float] | None = None  # offset and ratio of its clock, about; None: not known
 
 
@@ -59,22 +55,18 @@ class Task(Execution):
     matches: Matches = field(kw_only=True)
 
 
-def read_tasks(
-    path: str | Path, plan: Plan, machine: Machine, expected: Expected, taken: set[str]
-) -> tuple[list[Task], list[str]]:
-    """Return what a file holds of the plan, and sentences about it; MeasurementError if it is nothing.
+def read_tasks(path: str | Path, plan: Plan, expected: Expected, taken: set[str]) -> list[Task]:
+    """Return what a file holds of the plan; MeasurementError if it is nothing.
 
     taken : names of executions that were found by their motion in other files, to which these are added
     """
     executed: list[Execution] = []
-    notes: list[str] = []
     if is_motion_log(path):
-        if not is_index(path):  # which is read along with its log
-            executed, notes = executions(read_motion_log(path), plan, machine)
+        executed = [] if is_index(path) else executions(read_motion_log(path), plan)
     else:
         for capture in read_captures(path):
             executed += _executions(capture, plan, expected, taken)
-    return [_task(each, plan, expected) for each in executed], notes
+    return [_task(each, plan, expected) for each in executed]
 
 
 def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
@@ -85,7 +77,7 @@ def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
     if missing > MOST_MISSING:
         reason = f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."
         raise MeasurementError(capture.source, [reason])
-    felt = expected(each.motion)
+    felt = expected(each.experiment.motion)
     since, record = thinned(capture.time_s, capture.acceleration)
     start = (stated(capture, plan, each.experiment)[0], 1.0) if capture.clock == "firmware" else each.start
     matches = every_clock(since, record, felt) if start is None else known_clock(since, record, felt, start)
@@ -99,7 +91,7 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
     if named is not None:
         lasting = plan.capture_s(named[0])
         if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
-            return [Execution(capture, *named, named[0].motion)]
+            return [Execution(capture, *named)]
     if sum(each.excitation is not None for each in plan.experiments) > 1:
         raise MeasurementError(capture.source, [fault("alike", stem=stem, first=run_name(plan.experiments[0].name, 1))])
     executed = _split(capture, plan, expected, taken)
@@ -239,38 +231,19 @@ def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
         capture, time_s=capture.time_s[rows], acceleration=capture.acceleration[rows], name=name, clock="free"
     )
     start = place.ratio * float(since[rows.start] - place.begin_s)
-    return Execution(part, experiment, repeat, "", experiment.motion, (start, place.ratio))
+    return Execution(part, experiment, repeat, "", (start, place.ratio))
 
 
 # Logs of Klipper's data logger
 
 REST_S = 0.3  # between two motions
 NEAR_MM = 0.05  # of the plan's nozzle to the log's
-MOST_STEPS = 1.0  # rms, of the motors to the nozzle's plan: more is a shaper
 PER_SECOND = 200.0  # samples where nozzles are compared
-SETTLES_S = 0.01  # a motor reaches its rest after its last step
-RATE_HZ, SMOOTH_HZ = 3200.0, 400.0  # of a command from steps
-STEPPERS = (("stepper_a", "stepper_b", "stepper_c"), ("stepper_x", "stepper_y", "stepper_z"))
 
 
-@dataclass(frozen=True, eq=False)
-class Played:
-    """A motion as the motors executed it; it begins at zero."""
-
-    spline: Callable[[FloatArray], FloatArray]
-    begin_s: float
-    end_s: float
-    duration_s: float  # of the plan's motion
-
-    def nozzle(self, t_s: FloatArray) -> FloatArray:
-        """Return the nozzle's command at the times (k,) s: (k, 3) mm. It rests before and after."""
-        return np.asarray(self.spline(np.clip(t_s, self.begin_s, self.end_s)))
-
-
-def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execution], list[str]]:
-    """Return the captures of every execution that the log holds, and sentences about what is in it."""
+def executions(log: MotionLog, plan: Plan) -> list[Execution]:
+    """Return the captures of every execution that the log holds."""
     executed: list[Execution] = []
-    notes = list(differences(log, machine))
     repeats: Counter[str] = Counter()
     for begin in _beginnings(log):
         experiment = next((each for each in plan.experiments if _is(log, begin, each)), None)
@@ -278,12 +251,10 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
             continue
         repeats[experiment.name] += 1
         name = run_name(experiment.name, repeats[experiment.name])
-        played, note = _played(log, begin, experiment, plan, machine.kinematics)
-        notes += [f"{name}: {note}"] if note else []
         for chip, samples in log.sensors.items():
             capture = _capture(log, samples, begin, experiment, plan, name)
             start = (float(capture.time_s[0]) - begin, 1.0)
-            executed.append(Execution(capture, experiment, repeats[experiment.name], chip, played, start))
+            executed.append(Execution(capture, experiment, repeats[experiment.name], chip, start))
     if not executed:
         raise MeasurementError(
             log.source,
@@ -292,7 +263,7 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
                 "bed mesh and skew correction off as it switches them."
             ],
         )
-    return executed, notes
+    return executed
 
 
 def _beginnings(log: MotionLog) -> list[float]:
@@ -317,83 +288,3 @@ def _capture(log: MotionLog, samples: Samples, begin: float, experiment: Experim
     table = Table(("time", "x", "y", "z"), rows, np.arange(1, len(rows) + 1), {})
     lost = int(((samples.lost_at_s >= first) & (samples.lost_at_s <= last)).sum())
     return make_capture(log.source, table, rows[:, 0], rows[:, 1:], name=name, clock="log", overflows=lost)
-
-
-# The command
-
-
-def _played(
-    log: MotionLog, begin: float, experiment: Experiment, plan: Plan, kinematics: Kinematics
-) -> tuple[Commanded, str]:
-    """Return the plan's command, or that of the steps where they differ from it, and a sentence."""
-    steppers = next(([log.steps[n] for n in names] for names in STEPPERS if all(n in log.steps for n in names)), None)
-    if steppers is None:
-        return experiment.motion, "the log holds no steps, so it is unknown whether the input shaper was on."
-    t = np.arange(-plan.rest_before_s, experiment.duration_s + plan.rest_after_s, 1 / RATE_HZ)
-    planned = kinematics.inverse(experiment.motion.nozzle(t)) @ kinematics.motors.T
-    done = np.column_stack([_position(each, begin + t, planned[:, i]) for i, each in enumerate(steppers)])
-    steps = np.array([each.step_mm for each in steppers])
-    moving = (t >= 0) & (t <= experiment.duration_s)
-    apart = np.sqrt((((done - planned)[moving] / steps) ** 2).mean(axis=0))
-    if apart.max() <= MOST_STEPS:
-        return experiment.motion, ""
-    smooth = butter(2, SMOOTH_HZ, fs=RATE_HZ, output="sos")
-    rounded = sosfiltfilt(smooth, done - done[0], axis=0) + done[0]
-    nozzle = kinematics.forward(rounded @ np.linalg.inv(kinematics.motors).T)
-    end = float(t[-1])
-    return (
-        Played(CubicSpline(t, nozzle), float(t[0]), end, experiment.duration_s),
-        f"the motors differ from the plan by up to {apart.max():.0f} steps rms: the input shaper was on. What the "
-        "motors did is taken for the command.",
-    )
-
-
-def _position(steps: Steps, t: FloatArray, planned: FloatArray) -> FloatArray:
-    """Return where a motor is commanded to be at print times (k,), mm; the plan (k,) says where it rests.
-
-    A step is made when the command crosses half a step. From which height the firmware counts is not known: shapers do
-    not delay on the whole, so on the average the motor is where the plan has it.
-    """
-    within = slice(*np.searchsorted(steps.time_s, [t[0], t[-1]]).tolist())
-    knots = steps.time_s[within]
-    if len(knots) < 2:
-        return np.full(len(t), planned[0])
-    way = np.sign(np.diff(steps.position_mm, prepend=steps.position_mm[0]))
-    crossing = (steps.position_mm - 0.5 * way * steps.step_mm)[within]
-    before, after = max(float(t[0]), knots[0] - SETTLES_S), min(float(t[-1]), knots[-1] + SETTLES_S)
-    inside = (t >= knots[0]) & (t <= knots[-1])
-    crossing = crossing - np.mean((np.interp(t, knots, crossing) - planned)[inside])
-    return np.interp(t, [before, *knots, after], [planned[0], *crossing, planned[-1]])
-
-
-# The configuration
-
-
-def differences(log: MotionLog, machine: Machine) -> list[str]:
-    """Say where the printer's configuration contradicts the machine file."""
-    settings = log.settings
-    if not settings:
-        return ["there is no index next to the log, so the printer's configuration cannot be compared."]
-    sentences = []
-    steps = machine.steps.per_motor
-    for names in STEPPERS:
-        for name, ours in zip(names, steps.tolist(), strict=True):
-            theirs = _steps_per_mm(settings.get(name, {}))
-            if theirs is not None and abs(theirs / ours - 1.0) > 1e-3:
-                sentences.append(f"{name}: the configuration has {theirs:.6g} steps/mm, and the machine file {ours:g}.")
-    arms = getattr(machine.kinematics, "arm_lengths_mm", None)
-    for name, ours in zip(STEPPERS[0], () if arms is None else np.asarray(arms).tolist(), strict=False):
-        theirs = settings.get(name, {}).get("arm_length", settings.get(STEPPERS[0][0], {}).get("arm_length"))
-        if theirs is not None and abs(float(theirs) - ours) > 0.5:
-            sentences.append(
-                f"{name}: the arm is {float(theirs):g} mm in the configuration, {ours:g} in the machine file."
-            )
-    return sentences
-
-
-def _steps_per_mm(section: object) -> float | None:
-    if not isinstance(section, dict) or not {"rotation_distance", "microsteps"} <= set(section):
-        return None
-    full = float(section.get("full_steps_per_rotation", 200))
-    geared = np.prod([a / b for a, b in section.get("gear_ratio") or []])
-    return float(full * float(section["microsteps"]) * geared / float(section["rotation_distance"]))

@@ -72,13 +72,10 @@ def join_captures(
     refused: list[Refused] = []
     expected, taken = cache(partial(expectation, machine=machine, lead_s=plan.rest_before_s)), set[str]()
     tasks: list[Task] = []
-    notes: list[str] = []
     for path in paths:
         progress(f"reading {Path(path).name}")
         try:
-            of_file, remarks = read_tasks(path, plan, machine, expected, taken)
-            tasks += of_file
-            notes += [f"{Path(path).name}: {sentence}" for sentence in remarks]
+            tasks += read_tasks(path, plan, expected, taken)
         except MeasurementError as error:
             refused += [Refused(str(path), problem) for problem in error.problems]
     joined: list[list[Joined]] = []
@@ -91,7 +88,7 @@ def join_captures(
     whole, lacking = _without_lacking_runs(_of_all_chips(joined), machine)
     kept, apart, late = check_repeats(sorted(whole, key=lambda each: each.name))
     heard, deaf = _without_deaf_axes(kept, machine)
-    return JoinResult(tuple(heard), (*refused, *apart), (*notes, *lacking, *late, *deaf, *left_handed(kept)))
+    return JoinResult(tuple(heard), (*refused, *apart), (*lacking, *late, *deaf, *left_handed(kept)))
 
 
 def _join_chip(tasks: Sequence[Task], plan: Plan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
@@ -261,7 +258,7 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
     comments = joined_comments(clock, capture.source, name, task.repeat, capture.clock, capture.overflows)
     sensors = {f"acc_{axis}": rows[:, i] for i, axis in enumerate("xyz")}
     recording = measured_run(
-        run_name(name, task.repeat), task.motion, grid, sensors, {**comments, "axes_map": words(axes)}
+        run_name(name, task.repeat), task.experiment.motion, grid, sensors, {**comments, "axes_map": words(axes)}
     )
     return Joined(
         recording=recording,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,13 @@ from ffcomp.planner.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
 
-CLOCK_HZ = 180e6  # of the board
-DENSE_HZ = 12000.0  # at which half steps are looked for
 MESSAGE = 400  # rows
 
 
-def write_log(path: Path, messages: Sequence[Mapping[str, Any]], status: Mapping[str, Any]) -> None:
+def write_log(path: Path, messages: Sequence[Mapping[str, Any]]) -> None:
     """Write NAME.json.gz and NAME.index.gz."""
     path.write_bytes(gzip.compress(b"".join(json.dumps(each).encode() + b"\x03" for each in messages)))
-    first = {"status": status, "subscriptions": {}, "file_position": 0}
+    first = {"status": {}, "subscriptions": {}, "file_position": 0}
     index = path.with_name(path.name.replace(".json.gz", ".index.gz"))
     index.write_bytes(gzip.compress(json.dumps(first).encode() + b"\x03"))
 
@@ -44,42 +42,6 @@ def trapq(trajectory: Trajectory, begin_s: float) -> list[dict[str, Any]]:
                 t, speed = t + duration, speed + change * duration
     messages = [rows[max(0, k - 1) : k + MESSAGE] for k in range(0, len(rows), MESSAGE)]  # the last one again
     return [{"q": "trapq:toolhead", "params": {"data": each}} for each in messages]
-
-
-def stepq(
-    name: str, position: Callable[[FloatArray], FloatArray], step_mm: float, begin_s: float, end_s: float
-) -> list[dict[str, Any]]:
-    """The steps of a motor whose commanded position (k,) mm is known at print times: one at each half step crossed."""
-    t = np.arange(begin_s, end_s, 1 / DENSE_HZ)
-    place = position(t) / step_mm
-    count = np.rint(place).astype(np.int64)
-    start = float(count[0]) * step_mm
-    clocks, signs = list[int](), list[int]()
-    for k in np.flatnonzero(np.diff(count)).tolist():
-        sign = 1 if count[k + 1] > count[k] else -1
-        for crossed in range(abs(int(count[k + 1] - count[k]))):
-            edge = count[k] + sign * (crossed + 0.5)
-            share = (edge - place[k]) / (place[k + 1] - place[k])
-            clocks.append(round(CLOCK_HZ * (t[k] + share / DENSE_HZ)))
-            signs.append(sign)
-    messages = []
-    for k in range(0, len(clocks), MESSAGE):
-        own, ways = clocks[k : k + MESSAGE], signs[k : k + MESSAGE]
-        before = [own[0] - 1000, *own[:-1]]
-        rows = [[at - last, way, 0] for at, last, way in zip(own, before, ways, strict=True)]
-        params = {
-            "data": rows,
-            "first_clock": own[0],
-            "last_clock": own[-1],
-            "first_step_time": own[0] / CLOCK_HZ,
-            "last_step_time": own[-1] / CLOCK_HZ,
-            "start_position": start,
-            "start_mcu_position": 0,
-            "step_distance": step_mm,
-        }
-        messages.append({"q": f"stepq:{name}", "params": params})
-        start += step_mm * sum(ways)
-    return messages
 
 
 def accelerometer(
