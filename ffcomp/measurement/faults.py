@@ -126,7 +126,8 @@ def residual_power(
     normal, right = np.asarray(normal), np.asarray(right)
     power = sum(each.power for each in equations)
     if free_gains:
-        ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(right.shape[2])
+        trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+        ridge = np.maximum(1e-9 * trace, 1e-30) * np.eye(right.shape[2])  # an axis may rest: all is zero then
         gains = np.linalg.solve(normal + ridge, right.swapaxes(1, 2)).swapaxes(1, 2)
         left = power - np.einsum("hdc,hdc->hd", right, gains)
     else:

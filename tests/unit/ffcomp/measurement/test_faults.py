@@ -45,3 +45,8 @@ def test_a_shaper_is_told_apart_whatever_the_delay() -> None:
     assert left[3] < 1e-6 and left[:3].min() > 0.02
     of_each = [residual_power(equations, hypotheses, True, late[[k]])[3] for k in range(4)]
     assert np.argmin(of_each) == 2 and sorted(of_each)[1] > 0.02 * equations[0].power
+
+
+def test_an_axis_that_rests_has_no_shaper() -> None:
+    """One experiment excites x alone, another y alone: the expected motion of the other axis is exactly zero."""
+    assert shaper_of_captures({"x": [capture(0.0 * spectrum(1), spectrum(2))]}, "y") is None
