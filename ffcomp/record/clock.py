@@ -21,7 +21,7 @@ from scipy.ndimage import binary_opening
 from scipy.signal import butter, fftconvolve, sosfiltfilt
 
 from ffcomp.inference.covariance import clustered_covariance
-from ffcomp.record.plan import Commanded
+from ffcomp.record.plan import Motion
 from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 from models.printer.printer import PrinterMotion, simulate_printers
@@ -53,7 +53,7 @@ class Expectation:
         return [np.asarray(spline(kept, derivative) * inside) for spline in self._splines]
 
 
-def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
+def expectation(motion: Motion, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
     """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
 
     Without signatures only the plain motion is simulated, which suffices where the clock's delay is fitted later.

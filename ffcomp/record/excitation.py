@@ -19,7 +19,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
-from ffcomp.record.moves import check_inside, rounded_to_steps
+from ffcomp.record.moves import check_inside, rounding_share
 from ffcomp.record.multisine import Band, always_moving, band
 from ffcomp.record.plan import Excitation, Experiment, Motion, Plan, segment_motion
 from gcode.emit import XYZ_COUNTS
@@ -31,8 +31,7 @@ from models.machine import Machine
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 CLEARANCE_MM = 5.0  # kept between nozzle and bed
 LINE_OF_ACTION = 80.0 / 135.0  # of the print radius: where the paper measured, away from each tower
-COARSE_ROUNDING = 0.25  # by microsteps, of the upper half of the band: from here on the user is warned
-SUBSTEPS = 32  # samples per segment where a spectrum is taken
+COARSE_ROUNDING = 0.25  # by microsteps: from here on the user is warned
 
 
 PEAKS = (  # of a command
@@ -88,11 +87,13 @@ def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
     experiments = []
     for place, direction in product(range(len(request.places_mm)), request.directions):
         top_a, top_v = _allowed(machine, request, direction, allowed)
-        signal = multisine.excitation(spectrum_band, request.periods, top_a, top_v, request.seed)
+        displacement, first = multisine.excitation(spectrum_band, request.periods, top_a, top_v, request.seed)
         position, name = (*request.places_mm[place], request.height_mm), f"ffcomp-{direction}-{place}"
         target = _Target(machine, output, name, direction, position)
-        motion = _checked_motion(target, spectrum_band, signal.displacement_mm, top_a, allowed)
-        experiments.append(_experiment(target, motion, place, spectrum_band, signal))
+        motion = _checked_motion(target, spectrum_band, displacement, top_a, allowed)
+        rounding = rounding_share(motion, machine.kinematics, machine.steps.per_motor, spectrum_band.highest_hz)
+        excited = Excitation(direction, spectrum_band, first, request.periods)
+        experiments.append(Experiment(name, "multisine", place, position, motion, rounding, excited))
     return Plan(machine.name, machine.sha256, tuple(experiments), request.repeats, seed=request.seed)
 
 
@@ -139,21 +140,6 @@ def _checked_motion(
         feasible = share
         break
     raise LimitsError(f"{target.name}: {reason} An amplitude of {feasible * acceleration:.0f} mm/s² would fit.")
-
-
-def _experiment(
-    target: _Target, motion: Motion, place: int, spectrum_band: Band, signal: multisine.Signal
-) -> Experiment:
-    begin = float(motion.trajectory.start_t[signal.first_knot])
-    rounding = microstep_error(motion, spectrum_band, begin, target.machine.kinematics, target.machine.steps.per_motor)
-    excitation = Excitation(
-        direction=target.direction,
-        band=spectrum_band,
-        marker_knots=signal.marker_knots,
-        first_knot=signal.first_knot,
-        periods=signal.periods,
-    )
-    return Experiment(target.name, "multisine", place, target.position_mm, motion, rounding, excitation)
 
 
 def excited_coordinate(geometry: Kinematics, direction: str, motion: Motion, t_s: FloatArray) -> FloatArray:
@@ -229,20 +215,3 @@ def _check_vertices(
                 f"{peak:.0f}, and may at {limit:.0f}; an amplitude of "
                 f"{0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
             )
-
-
-def microstep_error(
-    motion: Motion, spectrum_band: Band, begin_s: float, geometry: Kinematics, steps_per_mm: FloatArray | float
-) -> float:
-    """Compute the rounding to microsteps, at the lines of the band's upper half, as a share of the command there.
-
-    One measured period, from `begin_s` on, is compared with itself, rounded; the rounding is the same in every period,
-    and no averaging takes it away.
-    """
-    count = spectrum_band.knots * SUBSTEPS
-    period = spectrum_band.period_s / count * np.arange(count, dtype=np.float64)
-    moved, rounded = rounded_to_steps(motion, begin_s + period, geometry, steps_per_mm)
-    upper = spectrum_band.lines[len(spectrum_band.lines) // 2 :]
-    command, error = (np.fft.rfft(each, axis=0)[upper] for each in (moved, rounded))
-    largest = int(np.argmax(np.linalg.norm(command, axis=0)))
-    return float(np.linalg.norm(error[:, largest]) / np.linalg.norm(command[:, largest]))

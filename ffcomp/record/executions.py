@@ -24,14 +24,14 @@ from ffcomp.measurement.printer_logs import MotionLog, Samples, is_index, is_mot
 from ffcomp.measurement.table import Table
 from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.clock import Expectation, Matches, every_clock, known_clock, peaks, thinned
-from ffcomp.record.plan import Commanded, Experiment, Plan, run_name
+from ffcomp.record.plan import Experiment, Motion, Plan, run_name
 from models.arrays import FloatArray
 
 MOST_MISSING = 0.02  # rows in the motion
 LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
 
 
-Expected = Callable[[Commanded], Expectation]  # what an accelerometer feels of a motion
+Expected = Callable[[Motion], Expectation]  # what an accelerometer feels of a motion
 
 
 @dataclass(frozen=True, eq=False)

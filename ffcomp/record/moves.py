@@ -24,7 +24,6 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record.multisine import Band, always_moving, band, scaled, smooth_step
-from ffcomp.record.multisine import multisine as one_period
 from ffcomp.record.plan import Experiment, Motion, Plan, plain_motion, segment_motion
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from models.arrays import FloatArray
@@ -143,7 +142,6 @@ def multisine(place_mm: FloatArray, demand: Demand, seconds: float, rng: np.rand
     spectrum_band = band(LOWEST_HZ, demand.highest_hz, PERIOD_S)
     waves = [
         scaled(
-            one_period,
             spectrum_band,
             AXIS_SHARE * demand.acceleration_mm_per_s2,
             AXIS_SHARE * demand.velocity_mm_per_s,
@@ -330,22 +328,12 @@ def carriage_gain(kinematics: Kinematics, at: FloatArray) -> float:
 def rounding_share(motion: Motion, kinematics: Kinematics, steps_per_mm: FloatArray, highest_hz: float) -> float:
     """Compute the rounding to microsteps as a share of the command, both as accelerations of the motors in a band."""
     t = np.arange(0.0, motion.duration_s, 1 / RATE_HZ)
-    motors, rounded = rounded_to_steps(motion, t, kinematics, steps_per_mm)
+    motors = kinematics.inverse(motion.nozzle(t)) @ kinematics.motors.T
+    rounded = np.rint(motors * steps_per_mm) / steps_per_mm  # motors step when the command crosses half a step
     frequency = np.fft.rfftfreq(len(t), 1 / RATE_HZ)
     weight = frequency**2 * ((frequency >= LOWEST_HZ) & (frequency <= highest_hz))
     command, error = (
         float(np.linalg.norm(weight[:, None] * np.fft.rfft(each * np.hanning(len(t))[:, None], axis=0)))
-        for each in (motors, rounded)
+        for each in (motors - motors.mean(axis=0), rounded - motors)
     )
     return error / command
-
-
-def rounded_to_steps(
-    motion: Motion, t_s: FloatArray, kinematics: Kinematics, steps_per_mm: FloatArray | float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the motors' motion about its mean at the times (k,) s, and its rounding: (k, 3) mm both.
-
-    Motors step when the command crosses half a step.
-    """
-    motors = kinematics.inverse(motion.nozzle(t_s)) @ kinematics.motors.T
-    return motors - motors.mean(axis=0), np.rint(motors * steps_per_mm) / steps_per_mm - motors

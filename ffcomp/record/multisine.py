@@ -14,8 +14,7 @@ mm, s, mm/s, mm/s²; one period of a signal is (knots,) mm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, floor
 
@@ -26,9 +25,7 @@ from models.arrays import FloatArray, IntArray
 
 HIGHEST_SHARE = 0.45  # of the segments' rate: nearer to half of it, the image at 1/S − f is as strong as the signal
 SEGMENTS_PER_SECOND, FASTEST_RATE = 250.0, 500.0  # the usual rate; what firmwares' hosts follow
-MARKER_S, QUIET_S = 1.0, 0.4  # the chirp that aligns a capture; the rest after a chirp, while modes decay
 RAMP_S = 0.5  # over which a signal that never rests is faded in and out
-EDGE_S = 0.25  # the same for the chirp
 CREST_PASSES = 150
 CLIP_FROM, CLIP_TO = 0.75, 0.97  # of the peak
 CORNER_STEP = 1.1
@@ -99,7 +96,7 @@ def multisine(band: Band, corner_hz: float, seed: int) -> FloatArray:
     The crest factor is reduced: the signal is clipped, its phases are kept and its amplitudes restored, repeatedly
     (Van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37, 1988, 207-212).
     """
-    weight = _weight(band.frequencies_hz, corner_hz)
+    weight = np.minimum(1.0, band.frequencies_hz / corner_hz)
     phase = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(weight))
     spectrum = np.zeros(band.knots // 2 + 1, dtype=np.complex128)
     spectrum[band.lines] = weight * np.exp(1j * phase)
@@ -112,40 +109,21 @@ def multisine(band: Band, corner_hz: float, seed: int) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, band.knots))
 
 
-Shape = Callable[[Band, float, int], FloatArray]
-
-
-def _weight(frequency_hz: FloatArray, corner_hz: float) -> FloatArray:
-    """Weight lines for flat acceleration above the corner, flat velocity below."""
-    return np.minimum(1.0, frequency_hz / corner_hz)
-
-
-def marker(band: Band, corner_hz: float, seed: int) -> FloatArray:
-    """Sweep a sine with evenly rising frequency from rest to rest, then wait: (knots,). It never repeats."""
-    active_s = band.period_s - QUIET_S
-    t = np.minimum(band.segment_s * np.arange(band.knots), active_s)
-    rise = (band.highest_hz - band.lowest_hz) / active_s
-    frequency = band.lowest_hz + rise * t
-    window = smooth_step(t / EDGE_S) * smooth_step((active_s - t) / EDGE_S)
-    amplitude = _weight(frequency, corner_hz) / second_difference_gain(frequency, band.segment_s)
-    return window * amplitude * np.sin(2.0 * np.pi * (band.lowest_hz + 0.5 * rise * t) * t)
-
-
 def smooth_step(x: FloatArray) -> FloatArray:
     """Step from 0 to 1 over 0 <= x <= 1, velocity and acceleration zero at both ends."""
     s = np.clip(x, 0.0, 1.0)
     return s**3 * (10.0 + s * (6.0 * s - 15.0))
 
 
-def scaled(shape: Shape, band: Band, acceleration: float, velocity: float, seed: int) -> FloatArray:
-    """Scale one period of a shape so that its second difference peaks at `acceleration` mm/s²: (knots,) mm.
+def scaled(band: Band, acceleration: float, velocity: float, seed: int) -> FloatArray:
+    """Scale one period of a multisine so that its second difference peaks at `acceleration` mm/s²: (knots,) mm.
 
     Where its speed would pass `velocity` mm/s, the low frequencies give way: the corner below which velocity and not
     acceleration is even rises until it does not.
     """
     corner = band.lowest_hz
     while corner <= band.highest_hz:
-        wave = shape(band, corner, seed)
+        wave = multisine(band, corner, seed)
         wave *= acceleration / _largest_bend(wave, band.segment_s)
         fastest = float(np.abs(np.diff(wave, append=wave[0])).max()) / band.segment_s
         if fastest <= velocity:
@@ -166,28 +144,15 @@ def _largest_bend(wave: FloatArray, segment_s: float) -> float:
 # From rest to rest
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Signal:
-    """Motion of one coordinate in one experiment: marker, transient, whole periods, rest."""
-
-    displacement_mm: FloatArray  # (n + 1,) at the knots, zero at both ends
-    marker_knots: int  # how many segments the marker has
-    first_knot: int  # where the first period to be measured begins
-    periods: int
-
-
-def excitation(band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Signal:
-    """Join the marker and a multisine, whose transient ends before the first of its `periods` begins.
+def excitation(band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> tuple[FloatArray, int]:
+    """Repeat a multisine whose transient ends before the first of its `periods`: (n + 1,) mm, and the knot of that.
 
     It is faded in over the end of a period, and one whole period goes by before the first that counts.
     """
-    s = band.segment_s
-    knots = round((MARKER_S + QUIET_S) / s)
-    chirp = scaled(marker, replace(band, period_s=knots * s, knots=knots), acceleration, velocity, seed)
-    wave, ramp, settling = scaled(multisine, band, acceleration, velocity, seed), round(RAMP_S / s), band.knots
+    wave, ramp, settling = scaled(band, acceleration, velocity, seed), round(RAMP_S / band.segment_s), band.knots
     at = np.arange(-ramp - settling, periods * band.knots + ramp + 1)
     faded = smooth_step((at - at[0]) / ramp) * smooth_step((at[-1] - at) / ramp)
-    return Signal(np.concatenate([chirp, faded * wave[at % band.knots]]), knots, knots + ramp + settling, periods)
+    return faded * wave[at % band.knots], ramp + settling
 
 
 def always_moving(counts: list[list[int]], axis: int) -> FloatArray:

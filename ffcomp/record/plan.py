@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -32,20 +32,6 @@ LIMIT_COLUMNS = ("velocity_limit", "acceleration", "square_corner_velocity", "mi
 
 LARGEST_DELAY_S = 5e-5  # of a knot: reached later, it demands too much
 FEED_COUNTS = 60 * F_COUNTS  # of F, in one mm/s
-
-
-class Commanded(Protocol):
-    """A commanded motion of the nozzle from rest to rest, which begins at zero."""
-
-    @property
-    def duration_s(self) -> float:
-        """From rest to rest."""
-
-    def nozzle(self, t_s: FloatArray) -> FloatArray:
-        """Return the nozzle at the times (k,) s: (k, 3) mm."""
-
-    def __hash__(self) -> int:
-        """By identity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,16 +135,15 @@ SETTLE_S = 0.5  # before a capture begins, so that the firmware has time in hand
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """The periodic part of an experiment that excites one coordinate: after a marker and what settles, whole periods.
+    """The periodic part of an experiment that excites one coordinate: after what settles, whole periods.
 
     Times count from the experiment's first move.
     """
 
-    json_keys: ClassVar = keys("direction", "band", "marker_knots", "first_knot", "periods", segment_s="band.segment_s")
+    json_keys: ClassVar = keys("direction", "band", "first_knot", "periods", segment_s="band.segment_s")
 
     direction: str  # A B C: this carriage alone; x y z: the nozzle along this axis
     band: Band
-    marker_knots: int  # segments of the marker, which begins at 0, and of its rest
     first_knot: int  # where the first whole period begins that is not transient
     periods: int
 

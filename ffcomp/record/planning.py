@@ -79,17 +79,10 @@ class PlanResult(Result):
         if not coarse:
             return []
         worst, count = max(coarse, key=lambda each: each.rounding), f"{len(coarse)} of {len(self.plan.experiments)}"
-        if of_periods:
-            return [
-                f"In {count} experiments rounding to microsteps spoils the upper half of the band; most in "
-                f"{worst.name}, where the error is {worst.rounding:.0%} of the command. A larger "
-                "--amplitude-mm-per-s2, a lower --highest-hz or finer microsteps make it smaller; where the firmware's "
-                "limit in Z bounds the amplitude, raise it there and state it with --z-acceleration-mm-per-s2."
-            ]
+        louder = "a larger --amplitude-mm-per-s2, a lower --highest-hz" if of_periods else "higher limits"
         return [
-            f"In {count} experiments rounding to microsteps is more than {MOST_ROUNDING:.0%} of the command; most in "
-            f"{worst.name}, {worst.rounding:.0%}. Finer microsteps or higher limits in the machine file make it "
-            "smaller."
+            f"In {count} experiments rounding to microsteps is more than {largest:.0%} of the command; most in "
+            f"{worst.name}, {worst.rounding:.0%}. Finer microsteps or {louder} make it smaller."
         ]
 
     @property

@@ -14,7 +14,7 @@ from ffcomp.measurement.capture import ClockKind
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.clock import ClockFit
-from ffcomp.record.plan import Commanded, Plan, run_name
+from ffcomp.record.plan import Motion, Plan, run_name
 from ffcomp.result import Fact, Result
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -153,7 +153,7 @@ class JoinedRuns(Result):
 
 
 def measured_run(
-    name: str, motion: Commanded, tau: FloatArray, sensors: Mapping[str, FloatArray], comments: Mapping[str, str]
+    name: str, motion: Motion, tau: FloatArray, sensors: Mapping[str, FloatArray], comments: Mapping[str, str]
 ) -> Recording:
     """Make a measured run of signals (n,) at the times (n,) s of an experiment: the command is the motion's."""
     return Recording(

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from ffcomp.record.multisine import (
     band,
     excitation,
-    multisine,
     polyline_gain,
     scaled,
 )
@@ -38,7 +37,7 @@ def test_straight_lines_pass_a_sine_on_by_sinc_squared(turns: int) -> None:
 
 def test_a_multisine_accelerates_evenly_at_its_lines_and_nowhere_else() -> None:
     """In the machine, not only at the knots: the polyline's own spectrum, line by line."""
-    wave = scaled(multisine, WIDE, 4000.0, 500.0, seed=3)
+    wave = scaled(WIDE, 4000.0, 500.0, seed=3)
     spectrum = 2.0 / (WIDE.knots * FINE) * np.fft.rfft(polyline(wave))
     acceleration = np.abs(spectrum[WIDE.lines]) * (2 * np.pi * WIDE.frequencies_hz) ** 2
     np.testing.assert_allclose(acceleration, acceleration.mean(), rtol=2e-3)
@@ -47,11 +46,10 @@ def test_a_multisine_accelerates_evenly_at_its_lines_and_nowhere_else() -> None:
 
 
 def test_an_excitation_rests_at_both_ends_and_repeats_between() -> None:
-    made = excitation(WIDE, 3, 4000.0, 150.0, seed=1)
-    u, n = made.displacement_mm, WIDE.knots
+    (u, begin), n = excitation(WIDE, 3, 4000.0, 150.0, seed=1), WIDE.knots
     assert u[0] == u[-1] == 0.0
     assert np.abs(np.diff(u)[[0, -1]]).max() / WIDE.segment_s < 0.5
-    first, second, third = (u[made.first_knot + k * n : made.first_knot + (k + 1) * n] for k in range(3))
+    first, second, third = (u[begin + k * n : begin + (k + 1) * n] for k in range(3))
     np.testing.assert_allclose(second[:-200], first[:-200], atol=1e-12)
     np.testing.assert_allclose(third[:-200], first[:-200], atol=1e-12)
     assert np.abs(np.diff(u, 2)).max() / WIDE.segment_s**2 < 1.01 * 4000.0
