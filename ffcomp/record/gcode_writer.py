@@ -35,7 +35,6 @@ class Recorder:
     flavor: str
     chips: Sequence[str] | None = None  # Klipper's names; RepRapFirmware's addresses; None: the usual one
     shaper: Sequence[str] | None = None  # lines that switch its own on again; none: it has none; None: not known
-    switches_shaper: bool = True  # off before the experiments
 
     @property
     def firmware(self) -> Firmware:
@@ -54,7 +53,7 @@ class Recorder:
 
     def shaper_off(self) -> list[str]:
         """Return the lines that switch the firmware's input shaper off."""
-        if not self.switches_shaper or self.shaper == ():
+        if self.shaper == ():
             return []
         on = (line.encode() for line in self.shaper or ())
         return [*self.firmware.shaper_kept, *(line.decode().rstrip() for line in shaper_off(self.flavor, on))]
@@ -70,7 +69,7 @@ class Recorder:
 
     def restores(self) -> list[str]:
         """Say in sentences how everything is restored, also after a cancelled run."""
-        shaper_returns = self.shaper is not None or bool(self.firmware.shaper_back) or not self.switches_shaper
+        shaper_returns = self.shaper is not None or bool(self.firmware.shaper_back)
         return [self.firmware.restores, *([] if shaper_returns else [_STAYS_OFF])]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -210,7 +210,7 @@ class Plan:
     """All experiments of a file, in the order of their first execution."""
 
     json_keys: ClassVar = keys(
-        *("seed", "repeats", "rest_before_s", "rest_after_s", "shaper", "experiments"), page="page?", runs="named_runs"
+        *("seed", "repeats", "rest_before_s", "rest_after_s", "experiments"), page="page?", runs="named_runs"
     ) | {"print": "print_file", "machine.name": "machine", "machine.sha256": "machine_sha256"}
 
     machine: str
@@ -222,7 +222,6 @@ class Plan:
     seed: int = 1
     print_file: str = ""  # the print that is the experiment
     page: Page | None = None  # that is drawn, and seen instead of felt
-    shaper: Literal["off", "kept"] = "off"  # kept: as the firmware has it, on perhaps
 
     def runs(self) -> list[tuple[Experiment, int]]:
         """List experiment and repeat, from 1, in the order of the file: a repeat follows when all were made once."""
@@ -298,7 +297,6 @@ def _plan(read: Mapping[str, Any]) -> Plan:
         machine_sha256=read["machine"]["sha256"],
         experiments=tuple(_experiment(entry) for entry in read["experiments"]),
         print_file=read["print"],
-        shaper=read.get("shaper", "off"),
         page=Page(**read["page"]) if "page" in read else None,
         **{key: kind(read[key]) for key, kind in _NUMBERS.items()},
     )

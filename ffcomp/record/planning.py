@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -178,14 +178,8 @@ def plan_recording(request: PlanRequest) -> PlanResult:
     """
     machine = load_machine(request.machine)
     flavor = request.flavor or machine.flavor or KLIPPER
-    recorder = Recorder(
-        flavor,
-        request.chip or None,
-        shaper_commands(flavor, machine.input_shaper),
-        switches_shaper=not request.keep_shaper,
-    )
+    recorder = Recorder(flavor, request.chip or None, shaper_commands(flavor, machine.input_shaper))
     plan, lines = _planned(request, machine, recorder)
-    plan = replace(plan, shaper="kept" if request.keep_shaper else "off")
     save_plan(plan, request.plan_file)
     replace_atomically(request.output, lines)
     recommended: tuple[Place, ...] = ()

@@ -43,8 +43,7 @@ def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
 
 _PLACED = {"at", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
 _OPTIONS_OF: dict[Purpose, set[str]] = {
-    "identify": _PLACED
-    | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "keep_shaper"},
+    "identify": _PLACED | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods"},
     "diagnose": _PLACED | {"kind", "seconds", "print_file"},
     "check": set(),
     "scan": {"amplitude_mm_per_s2", "height_mm", "seed", "pen", "line_width_mm", "nozzle_c", "bed_c"},
@@ -171,12 +170,6 @@ class PlanRequest(Request):
     ] = None
     flavor: Annotated[str, FLAVOR] = ""
     chip: Annotated[tuple[str, ...], CHIP] = ()
-    keep_shaper: Annotated[
-        bool | None,
-        Option(
-            "For identify: leave the firmware's own input shaper on. Default: off until the end of the file.", MACHINE
-        ),
-    ] = None
     print_file: Annotated[
         Path | None,
         Option(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -20,15 +19,6 @@ def moves(folder: Path, *more: str) -> tuple[Path, Path]:
     done = ffcomp("record", "plan", "-m", "ender-3", "-o", target, "--seconds", "2", "--at", "110,110", *more)
     assert done.exit_code == 0, done.output
     return target, folder / "moves.json"
-
-
-@pytest.mark.parametrize(("option", "said"), [((), "off"), (("--keep-shaper",), "kept")], ids=["off", "kept"])
-def test_the_plan_says_whether_the_shaper_is_off(option: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    target, plan = tmp_path / "moves.gcode", tmp_path / "moves.json"
-    done = ffcomp("record", "plan", "-m", "ender-3", "-o", target, "--for", "identify", "--at", "110,110", *option)
-    assert done.exit_code == 0, done.output
-    assert json.loads(plan.read_text())["shaper"] == said
-    assert ("SHAPER_FREQ_X=0" in target.read_text()) == (said == "off")
 
 
 @pytest.mark.parametrize("flavor", ["klipper", "reprapfirmware"])

@@ -59,8 +59,8 @@ def command(experiment: Experiment, t: FloatArray) -> FloatArray:
     return machine().kinematics.inverse(experiment.motion.nozzle(t))
 
 
-def written(plan: Plan, printer: Machine, flavor: str, *chips: str, **options: bool) -> list[bytes]:
-    return list(gcode_lines(plan, printer, Recorder(flavor, chips or None, **options)))
+def written(plan: Plan, printer: Machine, flavor: str) -> list[bytes]:
+    return list(gcode_lines(plan, printer, Recorder(flavor)))
 
 
 def segment_s(experiment: Experiment) -> float:
