@@ -34,18 +34,11 @@ LINE_OF_ACTION = 80.0 / 135.0  # of the print radius: where the paper measured, 
 COARSE_ROUNDING = 0.25  # by microsteps: from here on the user is warned
 
 
-PEAKS = (  # of a command
-    "carriage_velocity_mm_per_s",
-    "nozzle_velocity_mm_per_s",
-    "carriage_acceleration_mm_per_s2",
-    "nozzle_acceleration_mm_per_s2",
-    "z_acceleration_mm_per_s2",  # of the nozzle; a G-code file cannot raise the firmware's own limit
-)
-VELOCITIES, ACCELERATIONS = slice(0, 2), slice(2, 5)
+VELOCITIES, ACCELERATIONS = slice(0, 2), slice(2, 5)  # of carriage and nozzle; the fifth is the nozzle's along z
 # Without an amplitude from the user, these shares of the machine file's limits: motors keep reserves, the nozzle is
 # excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the first three
 # limits count, those of the motors and of the nozzle's speed, as in compensation.
-CONSERVATIVE, HARD = np.array([0.5, 0.5, 0.25, 0.9, 0.2]), 3
+CONSERVATIVE = np.array([0.5, 0.5, 0.25, 0.9, 0.2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,20 +168,6 @@ def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> 
     return [carriage, length, carriage, length, float(abs(nozzle[2]))]
 
 
-def peaks_of(vertices_mm: FloatArray, segment_s: float, geometry: Kinematics) -> dict[str, float]:
-    """Return the largest differences from knot to knot of a path (n + 1, 3) mm."""
-    carriages = geometry.inverse(vertices_mm) @ geometry.motors.T
-    bends = np.diff(vertices_mm, 2, axis=0) / segment_s**2
-    peaks = (
-        np.abs(np.diff(carriages, axis=0)).max() / segment_s,
-        np.linalg.norm(np.diff(vertices_mm, axis=0), axis=1).max() / segment_s,
-        np.abs(np.diff(carriages, 2, axis=0)).max() / segment_s**2,
-        np.linalg.norm(bends, axis=1).max(),
-        np.abs(bends[:, 2]).max(),
-    )
-    return dict(zip(PEAKS, map(float, peaks), strict=True))
-
-
 # Checks
 
 
@@ -206,12 +185,15 @@ def _check_vertices(
             f"{CLEARANCE_MM:g} and {top:g}; a height from {low:.1f} to {high:.1f} mm would fit."
         )
     check_inside(machine, target.name, vertices)
-    peaks = peaks_of(vertices, segment_s, machine.kinematics)
-    for (name, peak), limit in zip([*peaks.items()][:HARD], allowed.tolist(), strict=False):
+    carriages = machine.kinematics.inverse(vertices) @ machine.kinematics.motors.T
+    peaks = {  # from knot to knot
+        "carriage velocity in mm/s": np.abs(np.diff(carriages, axis=0)).max() / segment_s,
+        "nozzle velocity in mm/s": np.linalg.norm(np.diff(vertices, axis=0), axis=1).max() / segment_s,
+        "carriage acceleration in mm/s²": np.abs(np.diff(carriages, 2, axis=0)).max() / segment_s**2,
+    }
+    for (what, peak), limit in zip(peaks.items(), allowed.tolist(), strict=False):
         if peak > limit:
-            what, _, unit = name.partition("_mm_per_")
             raise LimitsError(
-                f"{target.name}: the {what.replace('_', ' ')} in mm/{unit.replace('s2', 's²')} would peak at "
-                f"{peak:.0f}, and may at {limit:.0f}; an amplitude of "
+                f"{target.name}: the {what} would peak at {peak:.0f}, and may at {limit:.0f}; an amplitude of "
                 f"{0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -11,11 +11,9 @@ from ffcomp.errors import RequestError
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.excitation import (
     COARSE_ROUNDING,
-    PEAKS,
     ExcitationRequest,
     line_of_action,
     make_excitation_plan,
-    peaks_of,
 )
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
@@ -91,17 +89,10 @@ class PlanResult(Result):
         planned = {each.position_mm[:2] for each in self.plan.experiments}
         return [place for place in self.recommended_places_mm if place not in planned]
 
-    def peaks(self, experiment: Experiment) -> dict[str, float] | None:
-        """Return the largest speeds and accelerations of a periodic excitation; None of other moves."""
-        if experiment.excitation is None:
-            return None
-        segment_s = experiment.excitation.band.segment_s
-        return peaks_of(experiment.motion.vertices_mm, segment_s, self.machine.kinematics)
-
     @property
     def experiments(self) -> list[PlannedExperiment]:
-        """Every experiment with its peaks."""
-        return [PlannedExperiment(e, self.peaks(e) or dict.fromkeys(PEAKS)) for e in self.plan.experiments]
+        """Every experiment, without its moves."""
+        return [PlannedExperiment(each) for each in self.plan.experiments]
 
     @property
     def restores(self) -> list[str]:
@@ -126,10 +117,6 @@ class PlanResult(Result):
     def _fact(self, experiment: Experiment) -> Fact:
         x, y, *_ = experiment.position_mm
         words = f"at {x:g}, {y:g} mm, {experiment.duration_s:.1f} s, microstep error {100 * experiment.rounding:.0f} %"
-        if (peak := self.peaks(experiment)) is not None:
-            carriage, nozzle, carriage_bend, nozzle_bend, _ = peak.values()
-            words += f", carriage {carriage:.0f} mm/s, {carriage_bend / 1e3:.1f} m/s²"
-            words += f", nozzle {nozzle:.0f} mm/s, {nozzle_bend / 1e3:.1f} m/s²"
         return experiment.name.removeprefix("ffcomp-"), words
 
     @property
@@ -155,9 +142,9 @@ class PlanResult(Result):
 
 @dataclass(frozen=True, eq=False)
 class PlannedExperiment:
-    """An experiment of a plan, and the largest speeds and accelerations of a periodic one."""
+    """An experiment of a plan, without its moves."""
 
-    json_keys: ClassVar = keys("peaks") | keys(
+    json_keys: ClassVar = keys(
         name="experiment.name",
         kind="experiment.kind",
         direction="experiment.excitation.direction",
@@ -168,7 +155,6 @@ class PlannedExperiment:
     )
 
     experiment: Experiment
-    peaks: Mapping[str, float | None]
 
 
 def plan_recording(request: PlanRequest) -> PlanResult:
