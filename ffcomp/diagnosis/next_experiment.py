@@ -65,27 +65,22 @@ class Separation:
     other: tuple[str, ...]
     now: float  # the difference in the given runs
     there: float  # the difference in the recording that is proposed
-    kind: str = ""  # of `ffcomp record plan`
-    position_mm: tuple[float, ...] = ()
-    command: str = ""  # that plans the recording; "": the given runs separate them already
-    gcode: str = ""  # that the command writes
+    kind: str  # of `ffcomp record plan`
+    position_mm: tuple[float, ...]
+    command: str  # that plans the recording
+    gcode: str  # that the command writes
     otherwise: str = ""  # how to separate them by other means
     alike: bool = True  # both fit the given runs as well
 
     @property
     def tells(self) -> bool:
         """Tell whether the recording separates them."""
-        return not self.command or self.there > max(SEPARATES_RMS, 2.0 * self.now if self.alike else 0.0)
+        return self.there > max(SEPARATES_RMS, 2.0 * self.now if self.alike else 0.0)
 
     @property
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
         question, now, there = self._question(), digits(self.now, 2), digits(self.there, 2)
-        if not self.command:
-            return (
-                f"These runs {question} already, though the signatures are alike: the predictions, each at its best, "
-                f"differ by {now} times the noise."
-            )
         if not self.tells:
             return (
                 f"No move of ffcomp record plan can {question}: it shows at most {there} times the noise, beyond what "
@@ -112,7 +107,6 @@ class Rival:
 
     names: tuple[str, ...]
     values: Mapping[str, float]
-    beaten: bool = False  # it is alike to first order, but fits these runs less well
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,36 +127,30 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool 
         these runs could not show
     """
     alike = rivals_of(diagnosis)
-    everyone = alike or (_nearest(diagnosis) if nearest else [])
-    rivals = [rival for rival in everyone if not rival.beaten][:2]
-    beaten = [rival for rival in everyone if rival.beaten][:2]
-    if not everyone:
+    rivals = (alike or (_nearest(diagnosis) if nearest else []))[:2]
+    if not rivals:
         return []
     ours, best = ((), diagnosis.base) if diagnosis.best is None else (diagnosis.best.names, diagnosis.best.fit)
-    now = _differences(replace(diagnosis.estimation, coarse=True), best, [*rivals, *beaten], None)
-    trials = _trials(problem, diagnosis, best, rivals) if rivals else []
-    found = []
-    for i, rival in enumerate([*rivals, *beaten]):
-        one = Separation(
-            ours, rival.names, now[i], now[i], otherwise=separated_by(ours, rival.names), alike=bool(alike)
+    now = _differences(replace(diagnosis.estimation, coarse=True), best, rivals, None)
+    trials = _trials(problem, diagnosis, best, rivals)
+    found, machine = [], problem.machine
+    for i, rival in enumerate(rivals if trials else []):
+        trial = max(trials, key=lambda each, i=i: each.differences[i])  # type: ignore[misc]
+        (experiment,), recorder = trial.plan.experiments, Recorder(machine.flavor or KLIPPER)
+        separation = Separation(
+            ours=ours,
+            other=rival.names,
+            now=now[i],
+            there=trial.differences[i],
+            kind=experiment.kind,
+            position_mm=experiment.position_mm,
+            command=command_of(machine, trial.request),
+            gcode=b"".join(gcode_lines(trial.plan, machine, recorder)).decode(),
+            otherwise=separated_by(ours, rival.names),
+            alike=bool(alike),
         )
-        if rival.beaten:
-            found.append(one)
-        elif trials:
-            found.append(_planned(problem.machine, one, max(trials, key=lambda t, i=i: t.differences[i]), i))  # type: ignore[misc]
+        found.append(separation)
     return found
-
-
-def _planned(machine: Machine, one: Separation, trial: _Trial, i: int) -> Separation:
-    (experiment,), flavor = trial.plan.experiments, machine.flavor or KLIPPER
-    return replace(
-        one,
-        there=trial.differences[i],
-        kind=experiment.kind,
-        position_mm=experiment.position_mm,
-        command=command_of(machine, trial.request),
-        gcode=b"".join(gcode_lines(trial.plan, machine, Recorder(flavor))).decode(),
-    )
 
 
 # ---- the rivals ----------------------------------------------------------------------------------
@@ -172,7 +160,7 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
     """Return what fits as well as the best explanation, where that explains most of the discrepancy.
 
     Other effects that were fitted and are as likely; then the same with one more, where that is likelier but removes
-    too little to be named; then effects of a like signature, whether they were never fitted or fit less well.
+    too little to be named; then effects of a like signature that were never fitted.
     """
     best = diagnosis.best
     if best is None or best.discrepancy > diagnosis.estimation.settings.left * diagnosis.base.discrepancy:
@@ -183,10 +171,6 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
     fitted = [h for h in diagnosis.competing if h.names != best.names] + likelier
     rivals = [Rival(h.names, h.fit.values) for h in fitted]
     alike = [name for name, _ in confounded_with(best.names, diagnosis.screened)]
-    named = {name for rival in rivals for name in rival.names}
-    replacing = [h for h in diagnosis.tried if len(h.names) == len(best.names) and h.names != best.names]
-    beaten = [next((h for h in replacing if name in h.names), None) for name in alike if name not in named]
-    rivals += [Rival(h.names, h.fit.values, beaten=True) for h in beaten if h is not None]
     known = {name for h in diagnosis.tried for name in h.names}
     like = [s for s in diagnosis.screened if s.candidate.name in {*alike} - known and len(best.effects) == 1]
     return rivals + [Rival((s.candidate.name,), _with(diagnosis, s, s.estimate)) for s in like]
