@@ -100,7 +100,8 @@ class ShownMachine(Result):
     @property
     def headline(self) -> str:
         """Name and modes."""
-        return f"{self.machine.name} has modes at {', '.join(f'{f:.1f}' for f in self.modes[0].frequency_hz)} Hz."
+        hz = ", ".join(f"{f:.1f}" for f in self.modes[0].frequency_hz)
+        return f"{self.machine.name} has modes at {hz} Hz." if hz else f"{self.machine.name} has no modes."
 
     @property
     def facts(self) -> list[Fact]:
@@ -113,7 +114,11 @@ class ShownMachine(Result):
                 for e in self.values
             ),
             *self.sources.items(),
-            *((f"Modes at {each.place}, Hz (damping ratio)", _mode_text(each)) for each in self.modes),
+            *(
+                (f"Modes at {each.place}, Hz (damping ratio)", _mode_text(each))
+                for each in self.modes
+                if len(each.frequency_hz)
+            ),
         ]
 
     @property
