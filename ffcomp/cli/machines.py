@@ -107,18 +107,13 @@ class ShownMachine(Result):
     def facts(self) -> list[Fact]:
         """The file, every parameter with its provenance, sources and modes."""
         return [
-            ("File", self.machine.path),
-            ("sha256", self.machine.sha256),
+            *(("File", self.machine.path), ("sha256", self.machine.sha256)),
             *(
                 (e.key, f"{_number(e.value)} {e.unit}".rstrip() + f", {e.provenance or 'not stated'}")
                 for e in self.values
             ),
             *self.sources.items(),
-            *(
-                (f"Modes at {each.place}, Hz (damping ratio)", _mode_text(each))
-                for each in self.modes
-                if len(each.frequency_hz)
-            ),
+            *((f"Modes at {each.place}, Hz (damping ratio)", _mode_text(each)) for each in self.modes),
         ]
 
     @property
@@ -268,13 +263,13 @@ class ModesAt:
 
 def _modes(machine: Machine) -> list[ModesAt]:
     """Return the modes at the positions that show how they change over the bed."""
-    modes = {place: (xy, machine.vibration.modes_at(xy)) for place, xy in machine.kinematics.sample_positions.items()}
-    return [ModesAt(place, xy, each.frequencies_hz, each.damping_ratios) for place, (xy, each) in modes.items()]
+    at = [(place, xy, machine.vibration.modes_at(xy)) for place, xy in machine.kinematics.sample_positions.items()]
+    return [ModesAt(place, xy, modes.frequencies_hz, modes.damping_ratios) for place, xy, modes in at]
 
 
 def _mode_text(modes: ModesAt) -> str:
-    pairs = zip(modes.frequency_hz.tolist(), modes.damping_ratio.tolist(), strict=True)
-    return ", ".join(f"{frequency:.1f} ({damping:.3f})" for frequency, damping in pairs)
+    pairs = zip(modes.frequency_hz, modes.damping_ratio, strict=True)
+    return ", ".join(f"{frequency:.1f} ({damping:.3f})" for frequency, damping in pairs) or "none"
 
 
 def _number(value: Any) -> str:
