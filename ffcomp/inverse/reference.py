@@ -127,7 +127,7 @@ class Reference:
     def extrusion(self, first: int = 0, last: int | None = None) -> FloatArray:
         """Return the filament at the knots first … last (all of them), (n,) mm."""
         last = self.knots if last is None else last
-        filament = self._filament if self._evened_mm is None else self._filament + self._evened_mm
+        filament = self._filament + (0.0 if self._evened_mm is None else self._evened_mm)  # callers change it
         return filament[first : last + 1]
 
     @cached_property
