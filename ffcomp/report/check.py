@@ -21,7 +21,7 @@ WORDS = {SAME: "as last time", **MARKED}
 
 def checks_figure(result: CheckResult) -> Figure:
     """Draw the last checks in one panel, the last finding above it."""
-    shown, name = list(result.checks)[-SHOWN:], f"{result.machine} · {len(result.checks)} checks"
+    shown, name = list(result.checks)[-SHOWN:], f"{result.machine} · checks: {len(result.checks)}"
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(8.4, 4.2), dpi=130, layout="constrained")
         title = f"Last check: {WORDS.get(shown[-1].finding, shown[-1].finding.replace('_', ' '))}"
@@ -50,7 +50,6 @@ def _panel(axes: Axes, shown: Sequence[Check]) -> None:
             axes.annotate(MARKED[shown[k].finding], place, (0, 7), textcoords="offset points", ha="center", fontsize=8)
     axes.set_xticks(at, [each.date.partition("T")[0] for each in shown], rotation=45, ha="right", fontsize=8)
     axes.set_ylabel("difference, % of the signal")
-    axes.margins(y=0.15)
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 1.2 * axes.get_ylim()[1])
     axes.legend(fontsize=8, frameon=False)
     grid(axes)
