@@ -163,9 +163,8 @@ def _held_out(places: Sequence[HeldOut], result: DiagnosisResult) -> Drawing:
         f"At the worst of them, {label}, the error is {times(times_noise(worst.before))} the noise before and "
         f"{times(times_noise(worst.after))} after."
     )
-    what = "Experiments" if result.gap.left_out == "experiments" else "Positions"
-    draw = partial(draw_held_out, places=places, labels=labels)
-    return Drawing("held-out", what, finding, "", WIDTH, ROW * len(labels) + AXIS + 0.3, draw)
+    draw, height = partial(draw_held_out, places=places, labels=labels), ROW * len(labels) + AXIS + 0.3
+    return Drawing("held-out", result.gap.left_out.capitalize(), finding, "", WIDTH, height, draw)
 
 
 def _curve(curve: ResidualCurve) -> Drawing:

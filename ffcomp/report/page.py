@@ -63,7 +63,8 @@ def plain(result: Result) -> Page:
     figures = [result.plot(name) for name in result.figures()]
     for figure in figures:
         figure.suptitle("")
-    return Page(result.title, sections=[Section("", figures=figures)] if figures else [])
+    title = result.title or result.schema.removeprefix("ffcomp-").partition("/")[0].replace("-", " ").capitalize()
+    return Page(title, sections=[Section("", figures=figures)] if figures else [])
 
 
 def resource(name: str) -> str:
