@@ -71,7 +71,7 @@ PLATE = Option(
     "Plate of a .gcode.3mf that holds several, counted from 1.", MACHINE, metavar="N", low=1, label="Comparison: plate"
 )
 SEGMENT_RATE = Option(
-    "Highest segment rate. A lower rate follows less of the vibration.", SPEED, metavar="RATE", low=125.0, high=500.0
+    "Highest segment rate. A lower rate compensates less.", SPEED, metavar="RATE", low=125.0, high=500.0
 )
 JOBS = Option("Number of processes. The output is the same.", SPEED, "--jobs", "-j", metavar="N", low=1)
 SCHEDULER = Option(
@@ -80,20 +80,18 @@ SCHEDULER = Option(
 FIGURE = Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE", parse=parse_figure, writes="file")
 MACHINE_FILE = Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE", writes="file")
 MAX_FLOW = Option(
-    "What the nozzle can melt, mm³/s. Without it: the slicer's setting, or else the largest flow as sliced.",
+    "Maximum volumetric flow, mm³/s. Default: the slicer's setting, or else the largest flow as sliced.",
     FASTER,
     metavar="V",
     low=0.1,
-    label="What the nozzle can melt, mm³/s",
+    label="Maximum volumetric flow, mm³/s",
 )
-MIN_LAYER_TIME = Option(
-    "No layer becomes shorter than this. Without it: the slicer's setting, or else 5 s.", FASTER, metavar="S", low=0.0
-)
+MIN_LAYER_TIME = Option("Minimum layer time. Default: the slicer's setting, or else 5 s.", FASTER, metavar="S", low=0.0)
 KEEP_SPEED = Option(
     "Keep the slicer's speed of one kind of line, e.g. 'External perimeter'.", FASTER, metavar="FEATURE"
 )
 CHANGE_SPEED = Option(
-    "Change the speed of one kind of line that keeps the slicer's otherwise: 'Bridge infill', 'first layer'.",
+    "Change the speed of one kind of line that keeps the slicer's by default: 'Bridge infill', 'first layer'.",
     FASTER,
     metavar="FEATURE",
 )

@@ -32,7 +32,7 @@ VERBS = {  # with the first sentence of each, so that `ffcomp --help` need not i
     "record": "Record the printer's vibrations with its own accelerometer.",
     "machines": "List, show, check and create machine files.",
     "integrations": "Use ffcomp from your slicer or your printer's host.",
-    "serve": "Serve a page to drop prints on, in the browser, on this computer.",
+    "serve": "Serve a web page on this computer where you drop prints.",
     "warmup": "Compile the numerical code once, so that the first print need not wait.",
 }
 

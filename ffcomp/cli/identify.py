@@ -40,7 +40,7 @@ def scan(request: ScanRequest) -> Result:
 
     First print the page: ffcomp record plan --for scan -m MACHINE -o page.gcode. Scan it at 600 dpi or more, straight
     on the glass; or photograph all of it from above, without flash, so that it fills the picture. ffcomp finds the
-    discs, takes out perspective and the scanner's wobble by the slow lines, and fits the machine to the waves in the
+    discs, removes perspective and the scanner's wobble with the slow lines, and fits the machine to the waves in the
     quick ones.
 
     Example: ffcomp identify scan page.jpg --plan page.json -m voron-250 -o my-voron.toml --figure page.png

@@ -32,7 +32,7 @@ class IntegrationRequest(Request):
     name: Annotated[str, Argument("A slicer or a host; see: ffcomp integrations list.", metavar="NAME")]
     machine: Annotated[
         str,
-        Option("Machine that is written into it.", MACHINE, "--machine", "-m", metavar="NAME", env="FFCOMP_MACHINE"),
+        Option("Machine to write into it.", MACHINE, "--machine", "-m", metavar="NAME", env="FFCOMP_MACHINE"),
     ] = "my-delta"
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @verb
 def import_machine(request: ImportMachineRequest) -> Result:
-    """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Overwrites only what it left incomplete.
+    """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Overwrites only an incomplete import.
 
     ffcomp states the source of each parameter, which ones are assumed, and which are still missing. The file's
     content decides its kind, not its name.

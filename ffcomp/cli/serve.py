@@ -43,8 +43,8 @@ class ServeRequest(Request):
     folder: Annotated[
         Path | None, Option("Where work is kept. Default: the user's data folder.", OUTPUT, metavar="DIR")
     ] = None
-    largest_mb: Annotated[int, Option("Largest file that is taken.", OUTPUT, metavar="MB", low=1)] = 1024
-    jobs: Annotated[int, Option("Jobs at the same time.", SPEED, "--jobs", "-j", metavar="N", low=1)] = 1
+    largest_mb: Annotated[int, Option("Largest accepted file.", OUTPUT, metavar="MB", low=1)] = 1024
+    jobs: Annotated[int, Option("Jobs that run at the same time.", SPEED, "--jobs", "-j", metavar="N", low=1)] = 1
     open_it: Annotated[bool, Option("Open the page in the browser.", ADVANCED, "--open")] = False
 
     def check(self) -> None:
@@ -55,10 +55,10 @@ class ServeRequest(Request):
 
 @verb
 def serve(request: ServeRequest) -> None:
-    """Serve a page to drop prints on, in the browser, on this computer.
+    """Serve a web page on this computer where you drop prints.
 
-    Prints are compensated, compared and looked at there, machines imported, moves planned and captures diagnosed.
-    Nothing leaves this computer. End it with Ctrl-C; work that waits goes on when it is started again.
+    The page compensates and compares prints, imports machines, plans measurements and diagnoses captures. Nothing
+    leaves this computer. End it with Ctrl-C; waiting jobs continue after the next start.
 
     Example: ffcomp serve --open
     """

@@ -143,7 +143,7 @@ class CompensateOptions(Request):
     safety: Annotated[
         float,
         Option(
-            "Share of the printers, as uncertain as the machine file says, that may exceed the bound.",
+            "Share of printers within the machine file's uncertainty that may exceed the bound.",
             FASTER,
             metavar="SHARE",
             low=0.001,

@@ -35,7 +35,7 @@ class Bound:
     max_speed_mm_per_s: float | None = None  # None: the machine's
     min_layer_time_s: float | None = None  # None: what the slicer's settings say
     change_speed: tuple[str, ...] = ()  # of what keeps the slicer's motion otherwise; `FIRST_LAYER` is one of them
-    safety: float = 0.05  # share of the printers, as uncertain as the machine file says, that may be beyond the bound
+    safety: float = 0.05  # share of printers within the machine file's uncertainty that may exceed the bound
 
     @property
     def tightest_um(self) -> float:

@@ -92,13 +92,13 @@ class IdentifyRequest(Request):
     column: Annotated[
         str | None,
         Option(
-            "Spectrum to be used of files with several columns, where their header does not say what these are.",
+            "Column with the spectrum, for files with several columns and no header that names them.",
             MACHINE,
             metavar="NAME",
         ),
     ] = None
     rough: Annotated[
-        bool, Option("Write modes too that leave more than 20 % of their measurement unexplained.", ACCURACY)
+        bool, Option("Also write modes that leave more than 20 % of their measurement unexplained.", ACCURACY)
     ] = False
     progress: Callable[[str], None] = silent
 

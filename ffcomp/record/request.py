@@ -109,7 +109,7 @@ class PlanRequest(Request):
     repeats: Annotated[
         int | None,
         Option(
-            "How often each is made. Repeats show the noise. Default: 2; 1 for identify, whose periods do.",
+            "Repeats of each experiment; they reveal the noise. Default: 2; 1 for identify, which repeats periods.",
             ACCURACY,
             metavar="N",
             low=1,
