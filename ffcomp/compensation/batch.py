@@ -230,7 +230,7 @@ class _Batch:
             source = b"".join(raw_blocks(file)) if self.far else file
         except (OSError, GcodeError) as error:
             return delayed(_Done)(self._failed(number, error))
-        return delayed(_work)(number, file, source, wanted, self.machine, self.request, self.bed)
+        return delayed(_work)(number, file, source, wanted, (self.machine, self.request), self.bed)
 
     def _written(self, done: _Done) -> FileResult:
         outcome, target = done.outcome, self.targets[done.outcome.number]
@@ -263,23 +263,12 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
             answers.close()
 
 
-def _work(
-    number: int,
-    file: Path,
-    source: Path | bytes,
-    wanted: bool,
-    machine: Machine,
-    request: CompensateOptions,
-    bed: Bed | None,
-) -> _Done:
+def _work(number: int, file: Path, source: Path | bytes, wanted: bool, how: tuple[Any, ...], bed: Bed | None) -> _Done:
     """Compensate a file in another process."""
     with TemporaryDirectory() as folder:
         draft = Path(folder, "draft")
-        outcome = attempt(
-            number,
-            file,
-            lambda path: compensate_file(source, str(path), machine, request, draft if wanted else None, bed=bed),
-        )
+        to, (machine, request) = draft if wanted else None, how
+        outcome = attempt(number, file, lambda path: compensate_file(source, str(path), machine, request, to, bed=bed))
         return _Done(outcome, draft.read_bytes() if draft.exists() else None)
 
 

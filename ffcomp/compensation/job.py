@@ -216,10 +216,8 @@ class Job:
     def outputs(self, reach: Reach, steps: StepStream | None = None) -> Iterator[Iterable[Output]]:
         """Return the output of each chunk, part by part."""
         split, context = self._split(reach)
-        if steps is not None:
-            return (_stepped(chunk, context, steps) for chunk in split)
-        if self.jobs == 1:
-            return (_compensated(chunk, context) for chunk in split)
+        if steps is not None or self.jobs == 1:
+            return (_rendered(chunk, context, steps) for chunk in split)
         from joblib import Parallel, delayed
 
         pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
@@ -335,19 +333,15 @@ class Lines:
         self.statistics, self.size = self.statistics + Statistics(warnings=reach.warnings), FileSize(int(done))
 
 
-def _compensated(chunk: Chunk, context: Context) -> Iterator[Output]:
+def _rendered(chunk: Chunk, context: Context, steps: StepStream | None = None) -> Iterator[Output]:
     planned = plan_chunk(chunk, context)
-    yield from compensated_sections(planned, context, GcodeRenderer(planned, context))
-
-
-def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterator[Output]:
-    planned = plan_chunk(chunk, context)
-    yield from compensated_sections(planned, context, StepRenderer(steps, planned, context))
+    renderer = GcodeRenderer(planned, context) if steps is None else StepRenderer(steps, planned, context)
+    yield from compensated_sections(planned, context, renderer)
 
 
 def _work(chunk: Chunk, context: Context) -> Output:
     """Compensate a chunk in another process."""
-    outputs = list(_compensated(chunk, context))
+    outputs = list(_rendered(chunk, context))
     context.model.save_cache()
     text = list(joined(chain.from_iterable(output.text for output in outputs)))
     return Output(text, sum((output.statistics for output in outputs), Statistics()), chunk.program.size)

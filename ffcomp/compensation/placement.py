@@ -18,6 +18,7 @@ from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.program import Program
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.kinematics.base import SLACK_MM, Kinematics
 from models.machine import Machine
 
@@ -62,11 +63,27 @@ def footprint_of(programs: Iterable[Program]) -> Footprint | None:
 
 
 def _enclosing(known: FloatArray, more: FloatArray) -> FloatArray:
-    """Return the corners of the convex hull of points, (k, 2); of points on a line its ends are among them."""
-    from scipy.spatial import ConvexHull
-
     points = np.unique(np.concatenate([known, more]), axis=0)
-    return points if len(points) < 4 else np.asarray(points[ConvexHull(points, qhull_options="QJ").vertices])
+    return points if len(points) < 4 else np.asarray(_hull(points))
+
+
+@kernel
+def _hull(points: FloatArray) -> FloatArray:
+    """Return the corners of the convex hull of points (n, 2) in the order of x, then y: Andrew's monotone chain."""
+    n = len(points)
+    corners, count, least = np.empty((2 * n, 2)), 0, 1
+    for k in range(2 * n - 1):  # below from left to right, then above from right to left
+        x, y = points[k if k < n else 2 * n - 2 - k]
+        if k == n:
+            least = count
+        while count > least:
+            x0, y0 = corners[count - 2]
+            if (corners[count - 1, 0] - x0) * (y - y0) - (corners[count - 1, 1] - y0) * (x - x0) > 0.0:
+                break
+            count -= 1
+        corners[count, 0], corners[count, 1] = x, y
+        count += 1
+    return corners[: count - 1].copy()
 
 
 def place_print(source: Source, path: str, machine: Machine, flavor: str) -> Placement:
