@@ -33,7 +33,7 @@ class SearchSettings:
     significant: float = _setting(10.0, "−2 ln Z", "gain of a hypothesis that is worth more numbers", "Kass 1995")
     added_share: float = _setting(0.5, "of the discrepancy", "what an added effect removes: more than it leaves")
     reshaped_share: float = _setting(0.1, "of the discrepancy", "what a freer shape of an effect removes at least")
-    trace: float = _setting(3e-3, "of the discrepancy", "what an effect's formula may leave: no shape is more exact")
+    trace: float = _setting(1e-2, "of the discrepancy", "what an effect's formula may leave: a tenth of its amplitude")
     # ---- breadth of the search ----
     most_effects: int = _setting(3, "effects", "that are named at once")
     width: int = _setting(3, "hypotheses", "of a level that are fitted fully, and expanded")
