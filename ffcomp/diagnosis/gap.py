@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, cast
 
-from ffcomp.diagnosis.noise import NoiseFloor, noise_floor, whitener
+from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, whitener
 from ffcomp.diagnosis.problem import Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
@@ -109,6 +109,8 @@ def gap_of(problem: Problem) -> Discrepancy:
     """Compare a problem's observations with its simulation by the machine file."""
     simulated = problem.simulate({})
     floor = noise_floor(problem, simulated)
+    if problem.forces:  # one that a command repeats shows nothing of the noise of the motion
+        floor = at_least(floor, problem.observations, problem.band_hz, problem.least_density)
     whiten = whitener(problem.observations, floor, problem.band_hz)
     residual = locate_residual(problem, whiten, floor, simulated)
     return Discrepancy(residual, floor, tuple(_notes(problem.repeats)), problem.forces)
