@@ -13,8 +13,7 @@ A known force that drives an axis is as much the answer to its motion as its cau
 move while its drive holds all that is missing, and simulated from that force alone it runs away. So `ForceBalance`
 compares the force with the one that the measured motion needs (inverse dynamics, as robots are identified; Gautier
 1986), by the noise that an encoder makes in it. Of a motor and its load each is compared by itself: the force that the
-one needs, and the place to which its motion takes the other. Simulated together, the unknown friction of the motor
-would hide the load.
+one needs, and the place to which its motion takes the other: the friction of the motor would hide the load.
 """
 
 from __future__ import annotations
@@ -215,8 +214,7 @@ class ForceBalance(AxisProblem):
     def _densities(self, problem: AxisProblem, axis: DrivenAxis) -> dict[str, FloatArray]:
         """Return the density of the noise of forces and of a load's place, (k,) N²/Hz and mm²/Hz at `noise_grid`.
 
-        Encoders' noise becomes a force by the axis' inverse response, m s² + c s + k, which rises with frequency; that
-        of a motor takes its load along by the coupling's resonance. Beside it, no sensor's: no simulation is nearer.
+        Encoders' noise becomes a force by the axis' inverse response, m s² + c s + k; that of a motor moves its load.
         """
         s, mass = 2j * np.pi * noise_grid(self.observations), axis.load_mass_kg or 0.0
         pull = (axis.coupling_stiffness_n_per_m or 0.0) + axis.coupling_damping_n_s_per_m * s if mass else 0.0 * s
@@ -234,8 +232,9 @@ class ForceBalance(AxisProblem):
         load = density([_way(one.run) for one in problem.shots]) if mass else 0.0
         encoders = 1e-6 * (np.abs(response) ** 2 * motor + np.abs(pull) ** 2 * load)
         found = {"force": encoders + density([one.run.signals["force"] for one in self.shots]) + error("force")}
-        if mass:
-            found["pos_q"] = load + np.abs(pull / (mass * s**2 + pull)) ** 2 * motor + error("pos_q")
+        if mass:  # in a shot it has no time to ring up
+            begun = s + (self.shots[0].run.sample_rate_hz / self.shots[0].length if self.shots[0].length else 0.0)
+            found["pos_q"] = load + np.abs(pull / (mass * begun**2 + pull)) ** 2 * motor + error("pos_q")
         return found
 
     def _last_heard(self, noise: FloatArray) -> float:

@@ -203,8 +203,7 @@ class Problem(ABC):
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
     names: MachineNames = MachineNames()
     forces: bool = False  # compared are the drive's force and the one that the measured motion needs, not signals
-    # of a signal's noise, unit²/Hz, at all frequencies or at those of `noise_grid`: no simulation is nearer than that
-    least_density: Mapping[str, float | FloatArray] = {}
+    least_density: Mapping[str, float | FloatArray] = {}  # of a signal's noise, unit²/Hz (at `noise_grid`), at least
 
     @cached_property
     def work(self) -> Work:
