@@ -6,10 +6,7 @@ import re
 import sys
 import time
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import pytest
@@ -182,36 +179,3 @@ def test_words_are_readable_and_every_field_has_a_name(scheme: str, quick: None,
         nameless = """[...document.querySelectorAll("input, select, button")].filter(
             (e) => !e.labels?.length && !e.textContent.trim() && !e.ariaLabel).length"""
         assert seen.page.evaluate(nameless) == 0
-
-
-@pytest.mark.parametrize("named", [True, False])
-def test_only_a_page_that_is_named_shows_it_as_a_panel(
-    named: bool, quick: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    host = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path)))
-    Thread(target=host.serve_forever, args=(0.02,), daemon=True).start()
-    origin = f"http://localhost:{host.server_port}"
-    with client(tmp_path, monkeypatch, frames=(origin,) if named else ()) as server:
-        (tmp_path / "panel.html").write_text(f"<iframe src='{address(server)}' width=390 height=800></iframe>")
-        page = browser.new_page()
-        page.goto(f"{origin}/panel.html")
-        inside = page.frame_locator("iframe")
-        if named:
-            inside.locator(READY).first.wait_for(state="attached", timeout=WAIT_MS)
-            inside.locator("#drop-prints input").set_input_files([payload("a.gcode", b"G28")])
-            inside.locator(".machines").select_option("kossel")
-            inside.locator("[data-job=compensate]:enabled").click()
-            inside.locator(card("compensate")).wait_for(timeout=WAIT_MS)
-        else:
-            page.wait_for_timeout(500)
-            assert inside.locator("main").count() == 0
-        page.close()
-    host.shutdown()
-    host.server_close()
-
-
-class Quiet(SimpleHTTPRequestHandler):
-    """A host's own page."""
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing."""
