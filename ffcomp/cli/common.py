@@ -87,8 +87,10 @@ _hidden: ContextVar[bool] = ContextVar("_hidden", default=False)
 def quiet(hidden: bool) -> Iterator[None]:
     """Within it `report` prints nothing, if so."""
     token = _hidden.set(hidden)
-    yield
-    _hidden.reset(token)
+    try:
+        yield
+    finally:
+        _hidden.reset(token)
 
 
 def is_quiet() -> bool:

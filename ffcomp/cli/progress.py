@@ -59,9 +59,7 @@ class Progress:
         self.total_s, self.what = max(total_s, 1e-9), what
         self.tenths = 0
         self.last: tuple[float, float] | None = None  # time and work done at the last report
-        self.recent: deque[tuple[float, float]] = deque(
-            maxlen=RECENT
-        )  # time and work of each report, from the one before
+        self.recent: deque[tuple[float, float]] = deque(maxlen=RECENT)  # time and work since the report before
 
     def __enter__(self) -> Self:
         if self.live:
