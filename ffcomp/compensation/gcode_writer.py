@@ -25,7 +25,7 @@ from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.segment_merging import at_most, merge, refit
+from ffcomp.planner.segment_merging import merge
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
@@ -253,15 +253,9 @@ class Writer:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
         of_points = at[stay], points[stay], timeline.e[stay]
         chosen = merge(*of_points, pinned, self.merging, CUT)
-        chosen, pinned = self.firmware.chosen(*of_points, chosen, pinned)
-        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s) - 1)
-        kept, fixed = stay[chosen], pinned[chosen]
-        fixed[0] = fixed[-1] = True
-        placed = refit(at[stay], points[stay], chosen, fixed)
-        points = np.where(self.inside(placed)[:, None], placed, points[kept])
-        at, e = at[kept], timeline.e[kept]
-        due, points = self.firmware.placed(at, points, fixed, self.inside)
-        at, e = due, np.interp(due, at, e)
+        chosen, due, points, fixed = self.firmware.ends(*of_points, chosen, pinned, self.inside)
+        kept = stay[chosen]
+        at, e = due, np.interp(due, at, timeline.e)
         points = _stated(points, frame.base, frame.unit_mm)
         ends = np.zeros(len(at), dtype=np.bool_)
         ends[[0, *at.searchsorted([piece.begin, piece.end]), -1]] = True

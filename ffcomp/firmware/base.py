@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.segment_merging import at_most, refit
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import DIALECTS
@@ -200,14 +201,19 @@ class Segments:
         """The longest segment that the firmware does not cut."""
         return inf
 
+    @property
+    def most_in_a_second(self) -> int:
+        """The most segments that begin within a second."""
+        return round(1.0 / self.knot_s) - 1
+
     def count(self) -> FilamentCount:
         """Return how E counts within blocks."""
         return FilamentCount()
 
-    def chosen(
-        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray
-    ) -> tuple[IntArray, BoolArray]:
-        """Return where segments end, and which points are pinned.
+    def ends(
+        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray, inside: Inside
+    ) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
+        """Return which points end segments, when they are due, (k,) knots, where, (k, 3) mm, and which are fixed.
 
         Parameters
         ----------
@@ -217,16 +223,11 @@ class Segments:
         kept : (m,) indices of the points that end segments so far
         pinned : (n,) points that must stay: a line stands there, or another writer continues
         """
-        return kept, pinned
-
-    def placed(
-        self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return when segments end, (n,) knots, and where, (n, 3) mm: at places that the firmware reaches exactly.
-
-        fixed : (n,) which of them stay
-        """
-        return at, points
+        kept = at_most(at, points, kept, pinned, self.most_in_a_second)
+        fixed = pinned[kept]
+        fixed[[0, -1]] = True
+        placed = refit(at, points, kept, fixed)
+        return kept, at[kept], np.where(inside(placed)[:, None], placed, points[kept]), fixed
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Return where the firmware ends lines of the file that end at points, (n, 3) mm."""

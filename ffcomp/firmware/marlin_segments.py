@@ -20,6 +20,7 @@ from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import row_after
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.segment_merging import at_most
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from gcode.program import LimitCommand, ModalState
 from gcode.words import commands
@@ -27,10 +28,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.machine import Machine, MarlinSettings
 
-AROUND = 4  # segments on either side of one that is too short: they are chosen again with it
-MOST_KNOTS = 60.0  # the longest segment of a new choice
 WHOLE_S = 0.95  # of the time beyond which a delta's line is cut in two
-SEGMENT_COST_MM2 = 1e-7  # knots, of one more segment: a third of a µm all along a knot
 SWEEPS = 2  # of the speeds that make durations exact
 MOST_FASTER = 4.0  # the highest speed that a sweep may request, by length over time
 LEAST_E_MM = 1e-5  # that a file can state
@@ -96,25 +94,18 @@ class MarlinSegments(Segments):
         """Return a count without the flow factor."""
         return MarlinFilamentCount()
 
-    def chosen(
-        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray
-    ) -> tuple[IntArray, BoolArray]:
-        """Choose again where some segments have too few steps, so that the command is missed by the least.
-
-        Where the filament turns back, a segment ends.
-        """
+    def ends(
+        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray, inside: Inside
+    ) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
+        """Choose ends at whole steps, far enough apart; where the filament turns back, a segment ends."""
         flow, pinned = np.diff(e), pinned.copy()
         pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0
-        most = min(MOST_KNOTS, self.longest_s / self.knot_s)
-        return _lengthened(at, points, self.steps.motors(points), kept, pinned, self.steps.enough, most), pinned
-
-    def placed(
-        self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside
-    ) -> tuple[FloatArray, FloatArray]:
-        """Move the ends of segments to whole steps."""
-        stepped, due = self.steps.placed(at, points, fixed)
-        kept = inside(stepped)
-        return np.where(kept, due, at), np.where(kept[:, None], stepped, points)
+        pinned[[0, -1]] = True
+        kept, due, placed = self.steps.ends(at, points, kept, pinned, self.longest_s / self.knot_s)
+        within = inside(placed)
+        due, placed = np.where(within, due, at[kept]), np.where(within[:, None], placed, points[kept])
+        stays = at_most(due, placed, np.arange(len(kept)), pinned[kept], self.most_in_a_second)
+        return kept[stays], due[stays], placed[stays], pinned[kept][stays]
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Return the ends of the file's own lines at whole steps."""
@@ -227,27 +218,6 @@ def _file_e_mm(frame: ModalState, e_mm: float) -> float:
 
 
 @kernel
-def _lengthened(
-    at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, enough: int, most: float
-) -> IntArray:
-    m = len(kept)
-    stays = np.zeros(len(at), dtype=np.bool_)
-    stays[kept] = True
-    j = 0
-    while j < m - 1:
-        if _most(steps, kept[j], kept[j + 1]) >= enough:
-            j += 1
-            continue
-        last = j + 1
-        while last < m - 1 and (last - j < 1 + AROUND or _is_short(steps, kept, last, enough)):
-            last += 1
-        first = max(j - AROUND, 0)
-        _choose(at, points, steps, edges, stays, kept[first], kept[last], enough, most)
-        j = last
-    return np.flatnonzero(stays)
-
-
-@kernel
 def _shortened(lasting: FloatArray, most: FloatArray) -> FloatArray:
     out, lost = lasting.copy(), 0.0
     for k in range(len(out)):
@@ -258,67 +228,8 @@ def _shortened(lasting: FloatArray, most: FloatArray) -> FloatArray:
 
 
 @kernel
-def _is_short(steps: FloatArray, kept: IntArray, j: int, enough: float) -> bool:
-    """Whether one of the next segments has too few steps."""
-    short = False
-    for k in range(j, min(j + AROUND, len(kept) - 1)):
-        short |= _most(steps, kept[k], kept[k + 1]) < enough
-    return short
-
-
-@kernel
 def _most(steps: FloatArray, a: int, b: int) -> float:
     return max(abs(steps[b, 0] - steps[a, 0]), abs(steps[b, 1] - steps[a, 1]), abs(steps[b, 2] - steps[a, 2]))
-
-
-@kernel
-def _choose(
-    at: FloatArray,
-    points: FloatArray,
-    steps: FloatArray,
-    edges: BoolArray,
-    stays: BoolArray,
-    first: int,
-    last: int,
-    enough: float,
-    most: float,
-) -> None:
-    """Choose the points between two that end segments, in place: dynamic programming over what they miss.
-
-    If no choice makes all of them long enough, nothing changes.
-    """
-    n = last - first + 1
-    best, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
-    best[0] = 0.0
-    for j in range(1, n):
-        for i in range(j - 1, -1, -1):
-            if i < j - 1 and at[first + j] - at[first + i] > most:
-                break
-            if best[i] < np.inf and _most(steps, first + i, first + j) >= enough:
-                cost = best[i] + _missed2(at, points, first + i, first + j) + SEGMENT_COST_MM2
-                if cost < best[j]:
-                    best[j], before[j] = cost, i
-            if edges[first + i]:
-                break
-    if best[n - 1] == np.inf:
-        return
-    stays[first + 1 : last] = False
-    j = before[n - 1]
-    while j > 0:
-        stays[first + j] = True
-        j = before[j]
-
-
-@kernel
-def _missed2(at: FloatArray, points: FloatArray, first: int, last: int) -> float:
-    """Return what a segment misses of the command, squared and summed over time, mm² knots."""
-    total, span = 0.0, at[last] - at[first]
-    for k in range(first + 1, last):
-        f = (at[k] - at[first]) / span
-        for i in range(3):
-            off = points[k, i] - points[first, i] - f * (points[last, i] - points[first, i])
-            total += 0.5 * (at[k + 1] - at[k - 1]) * off * off
-    return total
 
 
 @kernel

@@ -1,19 +1,23 @@
-"""Which whole motor steps the ends of segments are rounded to, so that the machine answers least: noise shaping.
+"""When segments end and at which whole motor steps, chosen together so that the nozzle errs least.
 
-Marlin rounds the end of every block to whole steps. Of a delta with 80 steps/mm that alone makes a nozzle far from the
-centre swing by 24 µm rms: rounding is white noise up to half the rate of the segments, and the machine's resonances lie
-there. So the ends are written where steps are, and which ones is chosen one after the other with the machine's model:
-what the steps before have missed still rings, x, and the next miss e is the one that costs least from now on,
+Marlin rounds the end of every block to whole steps, and drops a block of fewer than `minimum`. Rounding is white noise
+up to half the rate of the segments, and the machine's resonances lie there; where the nozzle is slow, a block that is
+long enough lasts ten times as long as a knot, and the command turns meanwhile. Both are one choice: of an end's time
+and of its steps. The error e of the executed polyline against the command rings in the machine's model,
 
-    e_j = steps − command     z_j = (x_j, e_j)     z_{j+1} = F_j (z_j, e_{j+1})     cost  Σ ‖R_j (z_j, e_{j+1})‖²
+    x_{k+1} = A x_k + B₀ e_k + B₁ e_{k+1}    y_k = C x_k    cost  Σ |W y_k|² + penalty · e²
 
-with R_j the nozzle's error at a few moments of segment j, most of it across its direction. Without whole numbers that
-is a linear-quadratic regulator: e* = −K z, by the Riccati equation backwards over the segments as they come. With them,
-of the whole steps around the command and e* the ones are taken whose distance from e* costs least. (The optimal noise
-shaper for a plant: D. E. Quevedo & G. C. Goodwin, IEEE Trans. Automatic Control 50 (2005) 1184-1196.)
+at the knots k, with W taking away most of what lies along the path. The cheapest sequence of ends is sought by the
+Viterbi algorithm: every end keeps the best ways to get there, as many as it has whole steps around it. Each ends at
+other steps and has its own ringing (per-survivor processing: R. Raheli, A. Polydoros & C. K. Tzou, IEEE Trans.
+Communications 43 (1995) 354-364; for quantisers D. E. Quevedo & G. C. Goodwin, IEEE Trans. Automatic Control 50 (2005)
+1184-1196).
 
-An end is due when the command passes its place, not at its own old time: then e holds only its distance from the
-command.
+If steps had no size that were a linear-quadratic regulator, which leaves zᵀ P z from an end on, z = (x, e), with P by
+the Riccati equation for more segments like the one at hand. What still rings at an end counts with that. The next end
+is sought around the place that costs least with it, up to `BEYOND` from the command, to work against what rings.
+
+An end is due when the command passes its place, not at its own knot: then e holds only its distance from the command.
 
 The choice is a quantiser with feedback: a command that is 0.1 µm off (windows at limits lie elsewhere where a motion is
 cut) gets other steps until the next beginning, ends of segments up to 65 µm away, and the nozzle's error is as large.
@@ -22,30 +26,35 @@ cut) gets other steps until the next beginning, ends of segments up to 65 µm aw
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import ceil
 
 import numpy as np
 
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT
 from models.arrays import BoolArray, FloatArray, IntArray
-from models.compiled import kernel
+from models.compiled import fast_kernel, kernel
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.vibration.scheduled import PlantTable
 
-MOST_ROWS = 8  # moments of a segment when the nozzle's error counts
 ALONG = 0.3  # of an error along the path, that counts
 MISS_COST = 0.2  # of e², in squares of what a step moves: with less, misses become many steps
-SETTLE = 12  # segments like the last, after which what follows it is known well enough
-WIDER = 4  # steps beyond the nearest, where there and back in two segments is within the motors' acceleration
-LEAST_KNOTS = 1.0  # that a segment lasts at least whose end becomes due earlier or later, if it did before,
-MOST_SHIFT = 0.4  # of its time: the largest such shift
-SPARE = 0.9  # of that acceleration, because Marlin's times are not quite ours
+SEGMENT_COST = 1e-4  # mm² knots, of one more segment: each 10 µm all along a knot
+SETTLE = 12  # segments, after which what follows an end is known well enough
+AROUND = 4  # segments on either side of one that is too short: their ends are chosen again with its own
+FAR = 2.0  # times the steps that a segment must have, beyond which no longer one is tried there
+MOST_KNOTS = 60  # and how long one may last
+BEYOND = 5.0  # steps from the command, at most
+LEAST_KNOTS = 1.0  # that a segment lasts at least, if no line of the file cuts it
+MOST_SHIFT = 0.4  # of the time to the next point: an end becomes due so much earlier or later at most
+SPARE = 0.9  # of the motors' acceleration, because Marlin's times are not quite ours
+REFUSED = 1e6  # mm², what a segment beyond that costs, or one that is dropped
 
 
 @dataclass(frozen=True, eq=False)
 class WholeSteps:
-    """Chooses the steps of one machine's motors."""
+    """Chooses the ends of segments for one machine's motors."""
 
     kinematics: Kinematics
     table: PlantTable  # by rows
@@ -53,53 +62,65 @@ class WholeSteps:
     steps_per_mm: FloatArray  # (3,) of the motors
     free: BoolArray  # (3,) which motors may be moved off the command: no lead screw
     minimum: int  # steps that a segment must have
-    wider: int  # steps beyond the nearest that are tried for a segment that would be too short
     most: FloatArray  # (3,) steps a knot², of the motors' acceleration
-    _intervals: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    _plants: dict[tuple[int, int], list[FloatArray]] = field(default_factory=dict)
+    _rest: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: InverseModel, steps_per_mm: FloatArray, free: BoolArray, minimum: int) -> WholeSteps:
         """Return those of a machine, from its inverse model."""
         settings, limits = model.settings, model.machine.limits
         most = SPARE * limits.carriage_acceleration_mm_per_s2 * settings.segment_s**2 * steps_per_mm
-        wider = WIDER if 2.0 * minimum <= float(most[free].min()) else 0
         per_knot = settings.rows_per_segment
-        return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, wider, most)
+        return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, most)
 
-    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Return the ends of segments where whole steps are, (n, 3) mm, and when they are due, (n,) knots.
+    def ends(
+        self, at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, longest: float
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return which points end segments, (k,); when they are due, (k,) knots; and where, (k, 3) mm.
 
         Parameters
         ----------
         at : (n,) times of the points, in knots; at multiples of CUT one begins again, so that tiles say the same
         points : (n, 3) mm
-        fixed : (n,) which of them do not move
+        kept : (m,) the ends that would do if steps had no size; others are tried where segments have too few steps
+        pinned : (n,) which of them end segments in any case, and do not move
+        longest : knots of a segment
         """
         steps = self.motors(points)
+        knots = np.arange(int(np.floor(at[0])), ceil(at[-1]) + 1)
+        command = np.stack([np.interp(knots, at, column) for column in steps.T], axis=1)
         t = self.table
-        node = np.clip(np.rint((points[1:, :2] - t.x0_mm) / t.pitch_mm), 0, t.nodes - 1).astype(np.int64)
-        rows = np.maximum(np.rint(np.diff(at) * self.rows), 1).astype(np.int64)
-        pairs, kind = np.unique(np.column_stack([node[:, 0] * t.nodes + node[:, 1], rows]), axis=0, return_inverse=True)
-        intervals = [self._interval(int(place), int(count)) for place, count in pairs]
-        move = np.diff(points, axis=0)
-        unit = move / np.maximum(np.linalg.norm(move, axis=1), 1e-9)[:, None]
-        chosen, due = _chosen(
+        near = np.clip(np.rint((points[:, :2] - t.x0_mm) / t.pitch_mm), 0, t.nodes - 1).astype(np.int64)
+        places, node = np.unique(near[:, 0] * t.nodes + near[:, 1], return_inverse=True)
+        reach = MOST_KNOTS * ceil(np.diff(at[kept]).max(initial=1.0) / MOST_KNOTS)
+        plants = [np.array(each) for each in zip(*(self._plant(int(place), reach) for place in places), strict=True)]
+        fixed = pinned.copy()
+        fixed[[0, -1]] = True
+        lasting = np.diff(at[kept])[np.searchsorted(kept[1:-1], np.arange(len(at)), side="right")]
+        on = np.clip(np.rint(lasting), 1, MOST_KNOTS).astype(np.int64)
+        pairs, which = np.unique(np.column_stack([places[node.ravel()], on]), axis=0, return_inverse=True)
+        chosen, due, whole = _search(
             at,
+            points,
             steps,
-            kind.ravel(),
-            unit,
+            command,
+            int(knots[0]),
+            node.ravel(),
+            *_tried(steps, kept, fixed, float(self.minimum + 1)),
             fixed,
             at % CUT == 0.0,
-            np.array([each[0] for each in intervals]),
-            np.array([each[1] for each in intervals]),
-            MISS_COST / self.steps_per_mm**2,
+            which.ravel(),
+            np.array([self._to_go(int(place), int(knots)) for place, knots in pairs]),
+            *plants,
+            self._penalty,
             self.free,
             self.minimum,
-            self.wider,
             self.most,
+            min(longest, float(MOST_KNOTS)),
         )
-        chosen[:, ~self.free] = steps[:, ~self.free]
-        return np.where(fixed[:, None], points, self._nozzle(chosen)), due
+        whole[:, ~self.free] = steps[chosen][:, ~self.free]
+        return chosen, due, np.where(fixed[chosen][:, None], points[chosen], self._nozzle(whole))
 
     def nearest(self, points: FloatArray) -> FloatArray:
         """Return where the nozzle is at the whole steps that are nearest to points, (n, 3) mm."""
@@ -115,269 +136,438 @@ class WholeSteps:
         return (motors - self._lift_mm) * self.steps_per_mm
 
     @property
-    def enough(self) -> int:
-        """Steps of a segment that suffice to find ends far enough apart, whichever motor moves far enough."""
-        return self.minimum + 1 - (int(np.count_nonzero(self.free)) if self.wider else 0)
-
-    @property
     def _lift_mm(self) -> float:
         """Marlin counts a delta's carriages from the nozzle's height, not from that of the effector's joints."""
         return self.kinematics.effector_height_mm if isinstance(self.kinematics, DeltaKinematics) else 0.0
 
-    def _interval(self, node: int, rows: int) -> tuple[FloatArray, FloatArray]:
-        """Return F (N, N + 3) and R (3 · MOST_ROWS, N + 3) of a segment of so many rows, e linear between its ends."""
-        if (node, rows) not in self._intervals:
-            p = self.table.plant
-            to_carriages = np.linalg.inv(self.kinematics.motors) / self.steps_per_mm
-            a, b0, b1 = p.a[node], p.b0[node] @ to_carriages, p.b1[node] @ to_carriages
-            to_nozzle = self.table.jacobian[node] @ p.carriage
-            n, none = len(a), np.zeros((3, len(a)))
-            x, errors = np.eye(n, n + 6), []
-            for k in range(rows):
-                since, until = (
-                    np.hstack([none, (1.0 - f) * np.eye(3), f * np.eye(3)]) for f in (k / rows, (k + 1) / rows)
-                )
-                x = a @ x + b0 @ since + b1 @ until
-                errors.append(to_nozzle @ x)
-            count = min(rows, MOST_ROWS)
-            weighed = [errors[(k + 1) * rows // count - 1] * np.sqrt(rows / count) for k in range(count)]
-            weighed += [np.zeros((3, n + 6))] * (MOST_ROWS - count)
-            carried = np.hstack([np.zeros((3, n + 3)), np.eye(3)])
-            self._intervals[node, rows] = np.vstack([x, carried]), np.vstack(weighed)
-        return self._intervals[node, rows]
+    @property
+    def _penalty(self) -> FloatArray:
+        return MISS_COST / self.steps_per_mm**2
+
+    def _plant(self, node: int, reach: int) -> list[FloatArray]:
+        """Return A (N, N), B₀, B₁ (N, 3) and C (3, N) of a knot, and what begins at rest in `reach` knots.
+
+        That is x (reach + 1, N, 6) after a ramp of one step a knot, and after a step that rises within the first.
+        """
+        if (node, reach) not in self._plants:
+            p, to_carriages = self.table.plant, np.linalg.inv(self.kinematics.motors) / self.steps_per_mm
+            n = len(p.a[node])
+            x = _ramped(p.a[node], p.b0[node] @ to_carriages, p.b1[node] @ to_carriages, self.rows)[-1]
+            a, b0, b1 = x[:, :n], x[:, n : n + 3], x[:, n + 3 :]
+            c = self.table.jacobian[node] @ p.carriage
+            begun = np.zeros((reach + 1, n, 6))
+            for k in range(reach):
+                begun[k + 1] = a @ begun[k]
+                begun[k + 1, :, :3] += k * b0 + (k + 1) * b1
+                begun[k + 1, :, 3:] += min(k, 1) * b0 + b1
+            self._plants[node, reach] = [a, b0, b1, c, begun, c @ begun]
+        return self._plants[node, reach]
+
+    def _to_go(self, node: int, knots: int) -> FloatArray:
+        """Return P (N + 3, N + 3) at an end, if segments of so many knots follow; of any direction."""
+        if (node, knots) not in self._rest:
+            a, b0, b1, c = self._plant(node, MOST_KNOTS)[:4]
+            n = len(a)
+            states = _ramped(a, b0, b1, knots)
+            cost = sum((c @ x).T @ (c @ x) for x in states) + np.diag(np.append(np.zeros(n + 3), self._penalty))
+            forward = np.vstack([states[-1], np.eye(3, n + 6, n + 3)])
+            p = np.zeros((n + 3, n + 3))
+            for _ in range(SETTLE):
+                whole = cost + forward.T @ p @ forward
+                g, h = np.split(whole[n + 3 :], [n + 3], axis=1)
+                p = whole[:-3, :-3] - g.T @ np.linalg.solve(h, g)
+            self._rest[node, knots] = p
+        return self._rest[node, knots]
+
+
+def _ramped(a: FloatArray, b0: FloatArray, b1: FloatArray, count: int) -> list[FloatArray]:
+    """Return x after each of so many intervals, (N, N + 6): of x before them, and of e before and after, linear."""
+    n = len(a)
+    states = [np.eye(n, n + 6)]
+    for k in range(count):
+        since, until = (
+            np.hstack([np.zeros((3, n)), (1.0 - f) * np.eye(3), f * np.eye(3)]) for f in (k / count, (k + 1) / count)
+        )
+        states.append(a @ states[-1] + b0 @ since + b1 @ until)
+    return states[1:]
 
 
 @kernel
-def _chosen(
+def _tried(steps: FloatArray, kept: IntArray, fixed: BoolArray, enough: float) -> tuple[BoolArray, BoolArray]:
+    """Return which points may end segments, (n,), and which of them must.
+
+    Around segments with too few steps all may; elsewhere those that are kept must.
+    """
+    m, may, must = len(kept), fixed.copy(), fixed.copy()
+    short = np.zeros(m, dtype=np.bool_)  # the segment after each
+    for k in range(m - 1):
+        most = 0.0
+        for i in range(3):
+            most = max(most, abs(steps[kept[k + 1], i] - steps[kept[k], i]))
+        short[k] = most < enough
+    for k in range(m):
+        may[kept[k]] = must[kept[k]] = True
+    for k in range(m - 1):
+        if short[k]:
+            first, last = max(k - AROUND, 0), min(k + 1 + AROUND, m - 1)
+            may[kept[first] : kept[last]] = True
+            must[kept[first] + 1 : kept[last]] = fixed[kept[first] + 1 : kept[last]]
+    return may, must
+
+
+@fast_kernel
+def _search(
     at: FloatArray,
+    points: FloatArray,
     steps: FloatArray,
-    kind: IntArray,
-    unit: FloatArray,
+    command: FloatArray,
+    first: int,
+    node: IntArray,
+    may: BoolArray,
+    must: BoolArray,
     fixed: BoolArray,
     begins: BoolArray,
-    forward: FloatArray,
-    errors: FloatArray,
+    which: IntArray,
+    go: FloatArray,
+    a: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    c: FloatArray,
+    begun: FloatArray,
+    shown: FloatArray,
     penalty: FloatArray,
     free: BoolArray,
     minimum: int,
-    wider: int,
     most: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return whole steps (n, 3) for a command in steps (n, 3) at times (n,), in knots, and when they are due.
+    longest: float,
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return which points end segments, when they are due, and their whole steps, from the first point to the last.
 
-    kind (n - 1,): which of forward (g, N, N + 3) and errors (g, 3 · MOST_ROWS, N + 3) a segment is of.
-    unit (n - 1, 3): its direction.   begins (n,): where earlier errors no longer count.   penalty (3,): of e².
+    command (K, 3): steps at knots from `first` on.   node (n,): which of the plants (g, …) a point has.
+    may, must (n,): which points may end segments, and which must.   begins (n,): where earlier errors no longer count.
     """
-    n, size = len(steps), forward.shape[1]
-    gain, cost = _regulator(kind, unit, begins, forward, errors, penalty)
-    z, missed, off, tried = np.zeros(size), np.zeros(size + 3), np.zeros(3), np.zeros(3)
-    low, high = np.zeros(3), np.zeros(3)
-    pace = np.zeros(4)  # of the command, steps a knot on average of both segments; and what a turn takes off a shift
-    out, due = np.floor(steps + 0.5), at.copy()
-    for j in range(n):
-        if j > 0 and not fixed[j]:
-            _reach(at, out, j, begins, most, low, high)
-            earlier, later = 0.0, 0.0  # by how many knots it may be
-            if j + 1 < n:
-                earlier = min(max(at[j] - due[j - 1] - LEAST_KNOTS, 0.0), MOST_SHIFT * (at[j] - at[j - 1]))
-                later = min(max(at[j + 1] - at[j] - LEAST_KNOTS, 0.0), MOST_SHIFT * (at[j + 1] - at[j]))
-            pace[3] = 0.0
-            for i in range(3):
-                if free[i] and j + 1 < n:
-                    pace[i] = (steps[j + 1, i] - steps[j - 1, i]) / (at[j + 1] - at[j - 1])
-                    turn = (steps[j + 1, i] - steps[j, i]) / (at[j + 1] - at[j]) - pace[i]
-                    pace[3] += pace[i] * pace[i] + turn * turn
-                off[i] = steps[j, i]
-                for c in range(size):
-                    off[i] -= gain[j, i, c] * z[c]
-                if np.ceil(low[i]) <= np.floor(high[i]):
-                    off[i] = min(max(off[i], np.ceil(low[i])), np.floor(high[i]))
-            _nearest(off, cost[j], j, free, minimum, wider, low, high, steps, pace, earlier, later, tried, out)
-            due[j] += _shift(out[j], steps[j], pace, earlier, later)
-        for i in range(3):
-            missed[size + i] = out[j, i] - steps[j, i] - (due[j] - at[j]) * pace[i]
-        if j == 0 or begins[j]:
-            for i in range(size):
-                z[i] = missed[i + 3] if i >= size - 3 else 0.0
+    n, size, rows = len(at), a.shape[1], c.shape[1]
+    motors = int(free[0]) + int(free[1]) + int(free[2])
+    around, blocks = 1 << motors, 2 * motors + 2
+    count = np.zeros(n, dtype=np.int64)
+    place, speed, off = np.zeros((n, around, 3)), np.zeros((n, around, 3)), np.zeros((n, around, 3))
+    x, cost, rank = np.zeros((n, around, size)), np.zeros((n, around)), np.zeros((n, around))
+    due, lasted = np.zeros((n, around)), np.zeros((n, around))
+    came, by = np.zeros((n, around), dtype=np.int64), np.zeros((n, around), dtype=np.int64)
+    longest_knots = begun.shape[1] - 1
+    state, seen = np.zeros((longest_knots + 1, size)), np.zeros((longest_knots + 1, rows))
+    wanted, squares = np.zeros(3), np.zeros((2, 2, 4, 4))
+    tried, unit, pace, way = np.zeros(3), np.zeros(3), np.zeros(3), np.ones(4)
+    count[0] = 1
+    for i in range(3):
+        place[0, 0, i] = np.floor(steps[0, i] + 0.5) if free[i] else steps[0, i]
+        off[0, 0, i] = place[0, 0, i] - steps[0, i]
+    due[0, 0] = at[0]
+    for p in range(n - 1):
+        if count[p] == 0:
             continue
-        for i in range(size):
-            missed[i], z[i] = z[i], 0.0
-        for i in range(size):
-            for c in range(size + 3):
-                z[i] += forward[kind[j - 1], i, c] * missed[c]
-    return out, due
-
-
-@kernel
-def _shift(place: FloatArray, step: FloatArray, pace: FloatArray, earlier: float, later: float) -> float:
-    """Return by how many knots later an end is due at a place, at most so much earlier or later.
-
-    An end that goes on along a command that turns cuts the turn off. Summed over time that is as much as on a straight
-    command with the average pace of both segments; how much sharper it is, is what keeps an end at its time there.
-
-    place, step (3,): steps, where it is wanted and at its own time.   pace (4,): the command's, and its square with
-    that of the turn
-    """
-    ahead = 0.0
-    for i in range(3):
-        ahead += (place[i] - step[i]) * pace[i]
-    return min(max(ahead / pace[3], -earlier), later) if pace[3] > 0.0 else 0.0
-
-
-@kernel
-def _reach(
-    at: FloatArray, out: FloatArray, j: int, begins: BoolArray, most: FloatArray, low: FloatArray, high: FloatArray
-) -> None:
-    """Fill in the steps that motors reach at point j, by their acceleration from the last segment and into the next.
-
-    The next rows of `out` are the command. Behind a cut the last segment does not count: another tile may hold it.
-    """
-    last = at[j] - at[j - 1]
-    for i in range(3):
-        low[i], high[i] = -np.inf, np.inf
-        if j > 1 and not begins[j - 1]:
-            before = at[j - 1] - at[j - 2]
-            on = out[j - 1, i] + (out[j - 1, i] - out[j - 2, i]) * last / before
-            change = most[i] * max(0.5 * (last + before), 1.0) * last
-            low[i], high[i] = on - change, on + change
-        if j + 1 < len(at):
-            then = at[j + 1] - at[j]
-            between = (out[j - 1, i] * then + out[j + 1, i] * last) / (last + then)
-            change = most[i] * max(0.5 * (last + then), 1.0) * last * then / (last + then)
-            low[i], high[i] = max(low[i], between - change), min(high[i], between + change)
-
-
-@kernel
-def _regulator(
-    kind: IntArray,
-    unit: FloatArray,
-    begins: BoolArray,
-    forward: FloatArray,
-    errors: FloatArray,
-    penalty: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return K (n, 3, N) and H (n, 3, 3) at the end of each segment, by the Riccati equation backwards."""
-    n, size = len(begins), forward.shape[1]
-    gain, cost = np.empty((n, 3, size)), np.empty((n, 3, 3))
-    p, ahead, across = np.zeros((size, size)), np.empty((size, size + 3)), np.empty(errors.shape[1:])
-    whole = np.empty((size + 3, size + 3))
-    for j in range(n - 1, 0, -1):
-        k, passes = kind[j - 1], 1
-        if begins[j] or j == n - 1:
-            passes = SETTLE
-            p[:, :] = 0.0
-        _across(errors[k], unit[j - 1], across)
-        for _ in range(passes):
-            ahead[:, :] = 0.0
-            _add_product(p, forward[k], ahead)
-            whole[:, :] = 0.0
-            _add_product(across, across, whole)
-            _add_product(forward[k], ahead, whole)
-            for i in range(3):
-                whole[size + i, size + i] += penalty[i]
-                for c in range(3):
-                    cost[j, i, c] = whole[size + i, size + c]
-            _solve(cost[j], whole, gain[j])
+        if begins[p]:
+            for i in range(size):
+                x[p, 0, i] = 0.0
+            cost[p, 0], lasted[p, 0] = 0.0, 0.0
+        g = node[p]
+        plant, rings, begun_here, shown_here = a[g], c[g], begun[g], shown[g]
+        for h in range(count[p]):
+            last, last_speed, last_off = place[p, h], speed[p, h], off[p, h]
+            last_due, last_cost, last_lasted = due[p, h], cost[p, h], lasted[p, h]
+            origin = int(np.floor(last_due))
+            phase = last_due - origin
+            known, found = 0, False
             for r in range(size):
-                for c in range(r + 1):
-                    value = whole[r, c]
+                state[0, r] = x[p, h, r]
+            since = command[max(origin - first, 0) :]
+            for j in range(p + 1, n):
+                if not may[j]:
+                    continue
+                if found and at[j] - at[p] > longest:
+                    break
+                knots = min(int(np.floor(at[j])) - origin, longest_knots)
+                if knots > known or known == 0:
+                    known = _held(known, knots, last, last_off, since, plant, b0[g], b1[g], rings, state, seen)
+                step = steps[j]
+                length, ahead, own = 0.0, 0.0, 0.0
+                for i in range(3):
+                    unit[i] = points[j, i] - points[p, i]
+                    length += unit[i] * unit[i]
+                    ahead = max(ahead, abs(step[i] - last[i]))
+                    own = max(own, abs(step[i] - steps[p, i]))
+                for i in range(3):
+                    unit[i] = unit[i] / np.sqrt(length) if length > 0.0 else 0.0
+                earliest, latest, bend = 0.0, 0.0, 0.0
+                if not fixed[j]:
+                    whole = at[j + 1] - at[j - 1]
                     for i in range(3):
-                        value -= whole[size + i, r] * gain[j, i, c]
-                    p[r, c] = p[c, r] = value
-    return gain, cost
+                        pace[i] = (steps[j + 1, i] - steps[j - 1, i]) / whole if free[i] else 0.0
+                        turn = (steps[j + 1, i] - step[i]) / (at[j + 1] - at[j]) - pace[i] if free[i] else 0.0
+                        bend += pace[i] * pace[i] + turn * turn
+                    latest = MOST_SHIFT * (at[j + 1] - at[j])
+                    earliest = max(-MOST_SHIFT * (at[j] - at[j - 1]), last_due + LEAST_KNOTS - at[j])
+                    if earliest > latest:
+                        continue
+                at_knot, left_on = command[origin - first :], go[which[j]]
+                for m in range(max(knots - int(not fixed[j]), 0), knots + 1):
+                    ramp = shown_here, begun_here
+                    _weigh(m, seen, state, ramp, phase, unit, last, last_off, at_knot, left_on, squares[m & 1])
+                if not fixed[j]:
+                    _seek(squares[knots & 1, 1], last, at[j] - last_due, step, penalty, free, wanted)
+                near, numbers = False, 1 if fixed[j] else around if ahead > minimum + BEYOND else blocks * around
+                for number in range(0 if must[j] else -around, numbers):
+                    if near and number >= around:
+                        break
+                    aim = step if fixed[j] or number < 0 else wanted
+                    candidate = number + around if number < 0 else number
+                    if not _candidate(candidate, aim, last, fixed[j], free, minimum, tried):
+                        continue
+                    near = True
+                    shift = 0.0
+                    if bend > 0.0:
+                        for i in range(3):
+                            shift += (tried[i] - step[i]) * pace[i] / bend
+                        shift = min(max(shift, earliest), latest)
+                    lasting = at[j] + shift - last_due
+                    if lasting <= 0.0:
+                        continue
+                    total, apart = last_cost + SEGMENT_COST, 0.0
+                    for i in range(3):
+                        way[i] = (tried[i] - last[i]) / lasting
+                        apart = max(apart, abs(tried[i] - last[i]))
+                        miss = tried[i] - step[i] - shift * pace[i]
+                        total += penalty[i] * miss * miss
+                        change = most[i] * max(0.5 * (lasting + last_lasted), 1.0)
+                        if free[i] and last_lasted > 0.0 and abs(way[i] - last_speed[i]) > change:
+                            total += REFUSED
+                    if apart < minimum or (lasting < LEAST_KNOTS and own < minimum):
+                        total += REFUSED
+                    m = max(int(np.floor(at[j] + shift)) - origin, knots - 1, 0)
+                    found = True
+                    if count[j] == around and total >= rank[j].max():
+                        continue
+                    left = total
+                    for q in range(4):
+                        for r in range(4):
+                            total += squares[m & 1, 0, q, r] * way[q] * way[r]
+                            left += squares[m & 1, 1, q, r] * way[q] * way[r]
+                    slot = _slot(place[j], rank[j], count[j], tried, left)
+                    if slot < 0:
+                        continue
+                    count[j] = max(count[j], slot + 1)
+                    rank[j, slot], cost[j, slot], due[j, slot], lasted[j, slot] = left, total, at[j] + shift, lasting
+                    came[j, slot], by[j, slot] = p, h
+                    for r in range(size):
+                        value = state[m, r]
+                        for i in range(3):
+                            value += (begun_here[m, r, i] - phase * begun_here[m, r, 3 + i]) * way[i]
+                        x[j, slot, r] = value
+                    for i in range(3):
+                        place[j, slot, i], speed[j, slot, i] = tried[i], way[i]
+                        if m > 0:
+                            off[j, slot, i] = last[i] + way[i] * (m - phase) - at_knot[m, i]
+                        else:
+                            off[j, slot, i] = last_off[i]
+                if must[j] or (found and ahead > FAR * minimum):
+                    break
+    return _traced(count, rank, came, by, due, place)
 
 
-@kernel
-def _add_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Add aᵀ b, in place."""
-    for k in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            factor = a[k, i]
-            if factor != 0.0:
-                for c in range(b.shape[1]):
-                    out[i, c] += factor * b[k, c]
+@fast_kernel
+def _held(
+    known: int,
+    knots: int,
+    place: FloatArray,
+    off: FloatArray,
+    command: FloatArray,
+    a: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    c: FloatArray,
+    state: FloatArray,
+    seen: FloatArray,
+) -> int:
+    """Fill in x (…, N) and C x (…, 3) at the knots after an end, as if its place (3,) were held.
 
-
-@kernel
-def _across(errors: FloatArray, unit: FloatArray, out: FloatArray) -> None:
-    """Take away most of what lies along the path."""
-    for r in range(0, errors.shape[0], 3):
-        for c in range(errors.shape[1]):
-            along = unit[0] * errors[r, c] + unit[1] * errors[r + 1, c] + unit[2] * errors[r + 2, c]
+    known, knots: up to where they are filled in, and shall be.   off (3,): e at the first of them.
+    command (…, 3): steps from there on.
+    """
+    since, until = off.copy(), np.zeros(3)
+    if known == 0:
+        for r in range(c.shape[0]):
+            seen[0, r] = 0.0
+            for q in range(a.shape[0]):
+                seen[0, r] += c[r, q] * state[0, q]
+    for k in range(known, knots):
+        for i in range(3):
+            if k > 0:
+                since[i] = place[i] - command[k, i]
+            until[i] = place[i] - command[k + 1, i]
+        for r in range(a.shape[0]):
+            value = 0.0
+            for q in range(a.shape[0]):
+                value += a[r, q] * state[k, q]
             for i in range(3):
-                out[r + i, c] = errors[r + i, c] - (1.0 - ALONG) * along * unit[i]
+                value += b0[r, i] * since[i] + b1[r, i] * until[i]
+            state[k + 1, r] = value
+        for r in range(c.shape[0]):
+            value = 0.0
+            for q in range(a.shape[0]):
+                value += c[r, q] * state[k + 1, q]
+            seen[k + 1, r] = value
+    return max(known, knots)
 
 
-@kernel
-def _solve(h: FloatArray, whole: FloatArray, gain: FloatArray) -> None:
-    """H K = G for a symmetric H (3, 3), by cofactors; G (3, N): the last rows of `whole` (N + 3, N + 3)."""
-    size = gain.shape[1]
-    inverse = np.empty((3, 3))
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for c in range(3):
-            d, e = (c + 1) % 3, (c + 2) % 3
-            inverse[i, c] = h[a, d] * h[b, e] - h[a, e] * h[b, d]
-    determinant = h[0, 0] * inverse[0, 0] + h[0, 1] * inverse[0, 1] + h[0, 2] * inverse[0, 2]
-    for i in range(3):
-        for c in range(size):
-            gain[i, c] = 0.0
-            for k in range(3):
-                gain[i, c] += inverse[i, k] / determinant * whole[size + k, c]
-
-
-@kernel
-def _nearest(
-    wanted: FloatArray,
-    cost: FloatArray,
-    j: int,
-    free: BoolArray,
-    minimum: int,
-    most_wider: int,
-    low: FloatArray,
-    high: FloatArray,
-    steps: FloatArray,
-    pace: FloatArray,
-    earlier: float,
-    later: float,
-    tried: FloatArray,
+@fast_kernel
+def _weigh(
+    m: int,
+    seen: FloatArray,
+    state: FloatArray,
+    ramp: tuple[FloatArray, FloatArray],
+    phase: float,
+    unit: FloatArray,
+    last: FloatArray,
+    last_off: FloatArray,
+    command: FloatArray,
+    go: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Put the whole steps that cost least near `wanted` into row j: of those that motors reach, and are not dropped.
+    """Fill in what m knots of a segment cost, (2, 4, 4): wᵀ out w with w = (steps a knot, 1); out[1]: with zᵀ P z.
 
-    low, high (3,): the reach of the motors.   pace, earlier, later: see `_shift`.   minimum: steps of one motor since
-    the last row; fewer are dropped.
+    It is the sum of the place that is held and a ramp.   command (…, 3): steps at its knots.   go: P.
     """
-    least, best, missed = np.inf, -1, np.zeros(3)
-    for wider in range(most_wider + 1):
-        width, farthest = 2 + 2 * wider, 0.0
-        for i in range(3):
-            if free[i]:
-                ahead = np.floor(wanted[i]) - out[j - 1, i]
-                farthest = max(farthest, wider - ahead, ahead + wider + 1)
-        if wider > 0 and farthest < minimum:  # nor do so many more make the segment long enough
-            continue
-        for number in range(width * width * width):
-            rest, apart, usable, within = number, 0.0, True, True
-            for i in range(3):
-                digit = rest % width
-                rest //= width
-                tried[i] = np.floor(wanted[i]) - wider + digit if free[i] else out[j, i]
-                usable &= free[i] or digit == 0
-                within &= not free[i] or low[i] <= tried[i] <= high[i]
-                apart = max(apart, abs(tried[i] - out[j - 1, i]))
-            rank = 2 * int(within) + int(apart >= minimum)
-            if not usable or rank < best or (wider > 0 and rank < 3):
-                continue
-            shift, total = _shift(tried, steps[j], pace, earlier, later), 0.0
-            for i in range(3):
-                missed[i] = tried[i] - wanted[i] - shift * pace[i]
-            for i in range(3):
+    shown, begun = ramp
+    size = state.shape[1]
+    y, along, z, weighed = np.zeros((3, 4)), np.zeros(4), np.zeros((size + 3, 4)), np.zeros(4)
+    out[:] = 0.0
+    for k in range(1, m + 1):
+        along[:] = 0.0
+        for r in range(3):
+            y[r, 3] = seen[k, r]
+            for q in range(3):
+                y[r, q] = shown[k, r, q] - phase * shown[k, r, 3 + q]
+            for q in range(4):
+                along[q] += unit[r] * y[r, q]
+        for q in range(4):
+            for c in range(4):
+                square = y[0, q] * y[0, c] + y[1, q] * y[1, c] + y[2, q] * y[2, c]
+                out[0, q, c] += square - (1.0 - ALONG**2) * along[q] * along[c]
+    for r in range(size):
+        z[r, 3] = state[m, r]
+        for q in range(3):
+            z[r, q] = begun[m, r, q] - phase * begun[m, r, 3 + q]
+    for i in range(3):
+        z[size + i, i] = m - phase if m > 0 else 0.0
+        z[size + i, 3] = last[i] - command[m, i] if m > 0 else last_off[i]
+    for r in range(size + 3):
+        weighed[:] = 0.0
+        for c in range(size + 3):
+            for q in range(4):
+                weighed[q] += go[r, c] * z[c, q]
+        for q in range(4):
+            for c in range(4):
+                out[1, q, c] += z[r, q] * weighed[c]
+    for q in range(4):
+        for c in range(4):
+            out[1, q, c] += out[0, q, c]
+
+
+@fast_kernel
+def _seek(
+    cost: FloatArray,
+    last: FloatArray,
+    lasting: float,
+    step: FloatArray,
+    penalty: FloatArray,
+    free: BoolArray,
+    out: FloatArray,
+) -> None:
+    """Fill in where an end costs least if steps have no size, (3,), near the command; cost (4, 4): as `_weigh` says."""
+    h, g = np.zeros((3, 3)), np.zeros(3)
+    for i in range(3):
+        h[i, i] = penalty[i]
+        if free[i]:
+            g[i] = -cost[i, 3] / lasting
+            for c in range(3):
+                g[i] -= cost[i, c] * (step[c] - last[c]) / lasting**2
+                if free[c]:
+                    h[i, c] += cost[i, c] / lasting**2
+    for i in range(3):
+        for r in range(3):
+            if r != i:
+                factor = h[r, i] / h[i, i]
+                g[r] -= factor * g[i]
                 for c in range(3):
-                    total += missed[i] * cost[i, c] * missed[c]
-            if total < least or rank > best:
-                least, best = total, rank
-                for i in range(3):
-                    out[j, i] = tried[i]
-        if best != 2:  # not dropped, or beyond the motors whatever is tried
-            return
+                    h[r, c] -= factor * h[i, c]
+    for i in range(3):
+        out[i] = step[i] + min(max(g[i] / h[i, i], -BEYOND), BEYOND)
+
+
+@kernel
+def _candidate(
+    number: int, step: FloatArray, last: FloatArray, fixed: bool, free: BoolArray, minimum: int, tried: FloatArray
+) -> bool:
+    """Fill in the whole steps to try with a number; False: there is none.
+
+    Below 2 to the power of the free motors: around the command. Then one motor is as far from the last end as it must.
+
+    step, last (3,): steps of the command, and of the last end.   fixed: only the nearest
+    """
+    motors = int(free[0]) + int(free[1]) + int(free[2])
+    block = number >> motors  # 0: around; 2 k and 2 k + 1: motor k less or more
+    motor, apart = 0, 0.0
+    for i in range(3):
+        if not free[i]:
+            tried[i] = step[i]
+            apart = max(apart, abs(tried[i] - last[i]))
+            continue
+        digit = number >> motor & 1
+        motor += 1
+        if fixed:
+            tried[i] = np.floor(step[i] + 0.5)
+        elif motor == block >> 1:
+            if digit:
+                return False
+            tried[i] = last[i] + (minimum if block & 1 else -minimum)
+            if abs(tried[i] - step[i]) > BEYOND:
+                return False
+        else:
+            tried[i] = np.floor(step[i]) + digit
+        apart = max(apart, abs(tried[i] - last[i]))
+    return fixed or apart >= minimum
+
+
+@kernel
+def _slot(place: FloatArray, rank: FloatArray, count: int, tried: FloatArray, left: float) -> int:
+    """Return where to keep a way to a point, of those kept so far; -1: nowhere."""
+    worst = -1
+    for k in range(count):
+        if place[k, 0] == tried[0] and place[k, 1] == tried[1] and place[k, 2] == tried[2]:
+            return k if left < rank[k] else -1
+        if worst < 0 or rank[k] > rank[worst]:
+            worst = k
+    if count < len(place):
+        return count
+    return worst if left < rank[worst] else -1
+
+
+@kernel
+def _traced(
+    count: IntArray, rank: FloatArray, came: IntArray, by: IntArray, due: FloatArray, place: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the points of the best way to the last point, when they are due, and their steps."""
+    n = len(count)
+    chosen, times, whole = np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros((n, 3))
+    p, h, m = n - 1, 0, n
+    for k in range(1, count[p]):
+        if rank[p, k] < rank[p, h]:
+            h = k
+    while True:
+        m -= 1
+        chosen[m], times[m] = p, due[p, h]
+        for i in range(3):
+            whole[m, i] = place[p, h, i]
+        if p == 0:
+            return chosen[m:].copy(), times[m:].copy(), whole[m:].copy()
+        p, h = came[p, h], by[p, h]

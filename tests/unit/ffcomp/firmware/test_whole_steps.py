@@ -45,6 +45,13 @@ def circle(centre: tuple[float, float], knots: int) -> tuple[FloatArray, FloatAr
     return at, points, fixed
 
 
+def ends(
+    own: WholeSteps, at: FloatArray, points: FloatArray, fixed: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Which points end segments, when they are due and where, if all would without steps."""
+    return own.ends(at, points, np.arange(len(at)), fixed, np.inf)
+
+
 def response(error: FloatArray, frequency_hz: float, damping: float) -> FloatArray:
     """What one mode makes of an error (n,) at the knots that is linear between them: the closed form, sampled."""
     omega, step_s = 2 * np.pi * frequency_hz, KNOT_S / FINE
@@ -63,7 +70,7 @@ def test_modes_answer_far_less_than_to_plain_rounding(cartesian: WholeSteps) -> 
         off = np.column_stack([response(chosen[:, i] - steps[:, i], *MODES[i]) for i in MODES])
         return float(np.std(np.sum(off * outward, axis=1)))
 
-    shaped = across(np.rint(cartesian.motors(cartesian.placed(at, points, fixed)[0])))
+    shaped = across(np.rint(cartesian.motors(ends(cartesian, at, points, fixed)[2])))
     assert shaped < 0.6 * across(np.rint(steps))
 
 
@@ -78,7 +85,7 @@ def test_a_slow_line_is_late_nowhere(cartesian: WholeSteps) -> None:
         points = np.column_stack([125.0 + way, 105.0 + slope * way, np.full(len(at), 0.3)])
         fixed = np.zeros(len(at), dtype=np.bool_)
         fixed[[0, -1]] = True
-        placed, due = cartesian.placed(at, points, fixed)
+        _, due, placed = ends(cartesian, at, points, fixed)
         missed = np.array([np.interp(due, at, points[:, i]) for i in (0, 1)]).T - placed[:, :2]
         along = missed @ np.array([1.0, slope]) / np.hypot(1.0, slope)
         assert np.abs(along[1:-1]).max() < 1e-3
@@ -90,7 +97,7 @@ def test_a_slow_line_is_late_nowhere(cartesian: WholeSteps) -> None:
 def test_ends_are_whole_steps_near_the_command_and_none_is_dropped(name: str, request: pytest.FixtureRequest) -> None:
     own = request.getfixturevalue(name)
     at, points, fixed = circle((125.0, 105.0) if name == "cartesian" else (0.0, -60.0), CUT)
-    placed, _ = own.placed(at, points, fixed)
+    _, _, placed = ends(own, at, points, fixed)
     steps = own.motors(placed)
     apart = np.abs(steps - np.rint(steps))[:, own.free]
     assert apart[~fixed].max() < 1e-6
@@ -104,8 +111,8 @@ def test_ends_are_whole_steps_near_the_command_and_none_is_dropped(name: str, re
 def test_a_part_that_begins_at_a_cut_says_what_the_whole_says(delta: WholeSteps) -> None:
     at, points, fixed = circle((0.0, 0.0), 3 * CUT)
     part = slice(CUT, 2 * CUT + 1)
-    whole = delta.placed(at, points, fixed)[0][part]
-    assert np.array_equal(delta.placed(at[part], points[part], fixed[part])[0], whole)
+    whole = ends(delta, at, points, fixed)[2][part]
+    assert np.array_equal(ends(delta, at[part], points[part], fixed[part])[2], whole)
 
 
 def test_motors_keep_their_acceleration_before_a_line_that_stays(delta: WholeSteps) -> None:
@@ -114,7 +121,8 @@ def test_motors_keep_their_acceleration_before_a_line_that_stays(delta: WholeSte
     turned = 0.002 * at
     points = np.column_stack([20 * np.cos(turned), 20 * np.sin(turned) - 60.0, np.full(len(at), 0.3)])
     fixed = np.append(at[:-1] % 1.0 != 0.0, True)
-    lasting = np.diff(at)[:, None]
-    velocity = np.diff(delta.motors(delta.placed(at, points, fixed)[0]), axis=0) / lasting
+    _, due, placed = ends(delta, at, points, fixed)
+    lasting = np.diff(due)[:, None]
+    velocity = np.diff(delta.motors(placed), axis=0) / lasting
     change = np.abs(np.diff(velocity, axis=0)) / np.maximum(0.5 * (lasting[1:] + lasting[:-1]), 1.0)
     assert (change / delta.most).max() < 1.0
