@@ -39,7 +39,7 @@ from models.kinematics.delta import DeltaKinematics
 from models.vibration.scheduled import PlantTable
 
 ALONG = 0.3  # of an error along the path, that counts
-MISS_COST = 0.2  # of e², in squares of what a step moves: with less, misses become many steps
+MISS_COST = 0.3  # of e², in squares of what a step moves: with less, misses become many steps
 SEGMENT_COST = 1e-4  # mm² knots, of one more segment: each 10 µm all along a knot
 SETTLE = 12  # segments, after which what follows an end is known well enough
 AROUND = 4  # segments on either side of one that is too short: their ends are chosen again with its own
