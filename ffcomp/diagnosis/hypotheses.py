@@ -159,7 +159,7 @@ def competing_with(
     ----------
     share : of the data, on which all were fitted: all of it would set them apart that much further.
     gap : the discrepancy without any effect, of the noise. Where it is large, even a small error of an effect's shape
-        is significant, and no effect has exactly our shape: what leaves a thousandth of it cannot be ruled out.
+        is significant, and no effect has exactly our shape: one that leaves a hundredth of it cannot be ruled out.
     """
     others = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
     return [
