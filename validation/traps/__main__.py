@@ -39,7 +39,7 @@ class Answer:
 def joined(trap: Trap, keep: Path) -> Answer:
     """Write the captures of a trap and join them: `found` is ffcomp-join/1."""
     folder = keep / trap.name
-    captures = write(trap.bench, trap.sensing, folder, keep / "readings", trap.seed_of_plan)
+    captures = write(trap.bench, trap.sensing, folder)
     shutil.rmtree(folder / "runs", ignore_errors=True)
     axes = ["--axes-map", trap.axes_map] if trap.axes_map else []
     files = ["--plan", folder / "moves.json", "-m", folder / "machine.toml", "-o", folder / "runs"]

@@ -1,31 +1,30 @@
-"""What goes wrong while an owner records: in the firmware, on the bench, in the chip, and with the files."""
+"""What goes wrong while an owner records: in the firmware, on the bench, in the chip, and with the files.
+
+Numbers of a mishap are keyword arguments, which `catalogue` sets.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from ffcomp.record.plan import Experiment
 from ffcomp.shapers.smooth import SHAPERS
-from validation.blind.real import FloatArray
+from validation.blind.real import FloatArray, Order
 from validation.plants.accelerometer import GRAVITY_M_PER_S2, Chip
-from validation.traps.bench import ChipOf, Feels, Moved, Nozzle, Run, Taken, Writes, klipper_text, phone_text
+from validation.traps.bench import Nozzle, Run, Taken
 
 # ---- the firmware does not move as planned ------------------------------------------------------
 
 
-def replanned(speed: float = 1.0, **limits: float) -> Moved:
+def replanned(experiment: Experiment, *, speed: float = 1.0, **limits: float) -> Nozzle:
     """Plan the same moves with a speed factor, or with other limits: each times its factor."""
-
-    def moved(experiment: Experiment) -> Nozzle:
-        motion = experiment.motion
-        own = replace(motion.limits, **{key: factor * getattr(motion.limits, key) for key, factor in limits.items()})
-        return replace(motion, speed=speed * motion.speed, limits=own).nozzle
-
-    return moved
+    motion = experiment.motion
+    own = replace(motion.limits, **{key: factor * getattr(motion.limits, key) for key, factor in limits.items()})
+    return replace(motion, speed=speed * motion.speed, limits=own).nozzle
 
 
 def s_curve(experiment: Experiment) -> Nozzle:
@@ -50,102 +49,75 @@ def _ramp(since: FloatArray, lasting: FloatArray, begin: FloatArray, end: FloatA
     return np.asarray(begin * since + (end - begin) * lasting * (u**6 - 3 * u**5 + 2.5 * u**4))
 
 
-def shaped(**kinds: tuple[str, float]) -> Moved:
+def shaped(experiment: Experiment, **kinds: tuple[str, float]) -> Nozzle:
     """The input shaper of x, of y or of both was left on."""
 
-    def moved(experiment: Experiment) -> Nozzle:
-        def nozzle(t: FloatArray) -> FloatArray:
-            found = experiment.motion.nozzle(t).copy()
-            for axis, (kind, hertz) in kinds.items():
-                shaper, column = SHAPERS[kind](hertz, 0.1), "xy".index(axis)
-                pulses = zip(shaper.amplitude.tolist(), shaper.time.tolist(), strict=True)
-                found[:, column] = sum(a * experiment.motion.nozzle(t - late)[:, column] for a, late in pulses)
-            return found
+    def nozzle(t: FloatArray) -> FloatArray:
+        found = experiment.motion.nozzle(t).copy()
+        for axis, (kind, hertz) in kinds.items():
+            shaper, column = SHAPERS[kind](hertz, 0.1), "xy".index(axis)
+            pulses = zip(shaper.amplitude.tolist(), shaper.time.tolist(), strict=True)
+            found[:, column] = sum(a * experiment.motion.nozzle(t - late)[:, column] for a, late in pulses)
+        return found
 
-        return nozzle
-
-    return moved
+    return nozzle
 
 
-def bent(change: Callable[[FloatArray], FloatArray]) -> Moved:
-    """The path goes elsewhere: a skew, mirrored axes. (n, 3) mm → (n, 3) mm."""
-
-    def moved(experiment: Experiment) -> Nozzle:
-        return lambda t: change(experiment.motion.nozzle(t))
-
-    return moved
+def bent(experiment: Experiment, *, by: Sequence[Sequence[float]]) -> Nozzle:
+    """The path goes elsewhere, (x, y, z) times this matrix: a skew, mirrored axes."""
+    return lambda t: np.asarray(experiment.motion.nozzle(t) @ np.array(by).T)
 
 
-def mirrored(xyz: FloatArray) -> FloatArray:
-    """The motors of A and B are exchanged: x runs the wrong way."""
-    return xyz * np.array([-1.0, 1.0, 1.0])
+def slips(at_s: Sequence[float], mm: float) -> Order:
+    """Motor A loses steps at such times of the bench, mm each."""
 
-
-def skewed(xyz: FloatArray) -> FloatArray:
-    """A skew correction of 1.5° is left on."""
-    return np.column_stack([xyz[:, 0] + np.tan(np.deg2rad(1.5)) * xyz[:, 1], xyz[:, 1:]])
-
-
-@dataclass(frozen=True)
-class Slips:
-    """An order: a motor loses steps at such times of the bench, mm each."""
-
-    at_s: tuple[float, ...]
-    mm: float
-    tower: int = 0
-
-    def __call__(self, t: FloatArray, command: FloatArray) -> FloatArray:
+    def slipping(t: FloatArray, command: FloatArray) -> FloatArray:
         out = command.copy()
-        for at in self.at_s:
+        for at in at_s:
             x = np.clip((t - at) / 0.006, 0.0, 1.0)
-            out[:, self.tower] += self.mm * x**2 * (3 - 2 * x)
+            out[:, 0] += mm * x**2 * (3 - 2 * x)
         return out
+
+    return slipping
 
 
 # ---- on the bench -------------------------------------------------------------------------------
 
 
-def tone(hertz: float, m_per_s2: float) -> Feels:
+def tone(t: FloatArray, felt: FloatArray, run: Run, *, hertz: float, m_per_s2: float) -> FloatArray:
     """A fan, the mains, stepper motors of a neighbour: always there, its phase by chance."""
-
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        phase, share = run.rng.uniform(0, 2 * np.pi, 3), np.array([1.0, 0.7, 0.5])
-        return felt + m_per_s2 * share * np.sin(2 * np.pi * hertz * t[:, None] + phase)
-
-    return feels
+    phase, share = run.rng.uniform(0, 2 * np.pi, 3), np.array([1.0, 0.7, 0.5])
+    return felt + m_per_s2 * share * np.sin(2 * np.pi * hertz * t[:, None] + phase)
 
 
-def bumped(once: int, m_per_s2: float = 25.0) -> Feels:
+def bumped(t: FloatArray, felt: FloatArray, run: Run, *, once: int, m_per_s2: float = 25.0) -> FloatArray:
     """Somebody bumps the table while one capture is taken; it rings at 22 Hz."""
-
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        since = np.maximum(t - 0.9, 0.0)
-        ring = np.exp(-since / 0.12) * np.sin(2 * np.pi * 22.0 * since)
-        return felt + (run.index == once) * m_per_s2 * ring[:, None] * np.array([0.8, 0.5, 0.3])
-
-    return feels
+    since = np.maximum(t - 0.9, 0.0)
+    ring = np.exp(-since / 0.12) * np.sin(2 * np.pi * 22.0 * since)
+    return felt + (run.index == once) * m_per_s2 * ring[:, None] * np.array([0.8, 0.5, 0.3])
 
 
-def on_bracket(hertz: float, ratio: float = 0.04, rattle: float = 0.0) -> Feels:
-    """The chip sits on a bracket that rings, or rattles where it is loose."""
-
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        w, dt = 2 * np.pi * hertz, float(t[1] - t[0])
-        a1, a2 = -2 * np.exp(-ratio * w * dt) * np.cos(w * dt), np.exp(-2 * ratio * w * dt)
-        rung = np.asarray(lfilter([1 + a1 + a2], [1, a1, a2], felt, axis=0))
-        return rung + rattle * np.abs(rung) * run.rng.standard_normal(felt.shape)
-
-    return feels
+def on_bracket(t: FloatArray, felt: FloatArray, run: Run, *, hertz: float, rattle: float = 0.0) -> FloatArray:
+    """The chip sits on a bracket that rings, with 4 % of damping, or rattles where it is loose."""
+    w, dt, ratio = 2 * np.pi * hertz, float(t[1] - t[0]), 0.04
+    a1, a2 = -2 * np.exp(-ratio * w * dt) * np.cos(w * dt), np.exp(-2 * ratio * w * dt)
+    rung = np.asarray(lfilter([1 + a1 + a2], [1, a1, a2], felt, axis=0))
+    return rung + rattle * np.abs(rung) * run.rng.standard_normal(felt.shape)
 
 
-def elsewhere(share: float) -> Feels:
+def elsewhere(t: FloatArray, felt: FloatArray, run: Run, *, share: float) -> FloatArray:
     """The chip lies on the frame or the bed: it feels only what the frame passes on."""
+    return share * _filtered(t, felt, 2, (15.0, 60.0), "bandpass")
 
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        rate = (len(t) - 1) / (t[-1] - t[0])
-        return np.asarray(share * sosfilt(butter(2, (15.0, 60.0), "bandpass", fs=rate, output="sos"), felt, axis=0))
 
-    return feels
+def low_pass(t: FloatArray, felt: FloatArray, run: Run, *, hertz: float) -> FloatArray:
+    """The chip's own digital filter is on."""
+    return _filtered(t, felt, 1, hertz, "lowpass")
+
+
+def _filtered(t: FloatArray, felt: FloatArray, order: int, hertz: object, kind: str) -> FloatArray:
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    return np.asarray(sosfilt(butter(order, hertz, kind, fs=rate, output="sos"), felt, axis=0))
 
 
 def whining(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
@@ -159,117 +131,82 @@ def whining(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
 # ---- the chip -----------------------------------------------------------------------------------
 
 
-def low_pass(hertz: float) -> Feels:
-    """The chip's own digital filter is on."""
-
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        rate = (len(t) - 1) / (t[-1] - t[0])
-        return np.asarray(sosfilt(butter(1, hertz, fs=rate, output="sos"), felt, axis=0))
-
-    return feels
-
-
-def gains(x: float, y: float, z: float) -> Feels:
+def gains(t: FloatArray, felt: FloatArray, run: Run, *, xyz: Sequence[float]) -> FloatArray:
     """A clone whose axes measure too much or too little."""
-    return lambda t, felt, run: felt * np.array([x, y, z])
+    return felt * np.array(xyz)
 
 
-def turned(degrees: float, only_repeat: int | None = None) -> ChipOf:
+def turned(chip: Chip, run: Run, *, degrees: float, repeats: Sequence[int] = (1, 2)) -> Chip:
     """The chip is turned about the vertical, perhaps between the repeats."""
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-    def chip_of(chip: Chip, run: Run) -> Chip:
-        return chip if only_repeat not in (None, run.repeat) else replace(chip, turn=about @ chip.turn)
-
-    return chip_of
+    return replace(chip, turn=about @ chip.turn) if run.repeat in repeats else chip
 
 
-def at_rate(hertz: float) -> ChipOf:
+def at_rate(chip: Chip, run: Run, *, hertz: float) -> Chip:
     """A slow sensor, without a filter of its own."""
-    return lambda chip, run: replace(chip, rate_hz=hertz)
+    return replace(chip, rate_hz=hertz)
 
 
 # ---- the files ----------------------------------------------------------------------------------
 
 
-def _each(change: Callable[[Taken, np.random.Generator], Taken], only: Sequence[int] = ()) -> Writes:
-    def writes(taken: list[Taken]) -> list[Taken]:
-        return [change(x, x.run.rng) if not only or x.run.index in only else x for x in taken]
-
-    return writes
-
-
-def clipped(g: float) -> Writes:
+def clipped(x: Taken, _: list[Taken], *, g: float) -> Taken:
     """The range is too small."""
-    top = g * GRAVITY_M_PER_S2
-    return _each(lambda x, rng: replace(x, values=np.clip(x.values, -top, top)))
+    return replace(x, values=np.clip(x.values, -g * GRAVITY_M_PER_S2, g * GRAVITY_M_PER_S2))
 
 
-def scaled(factor: float, only: Sequence[int] = ()) -> Writes:
+def scaled(x: Taken, _: list[Taken], *, factor: float, only: Sequence[int] = range(6)) -> Taken:
     """Another unit than the file says."""
-    return _each(lambda x, rng: replace(x, values=factor * x.values), only)
+    return replace(x, values=factor * x.values) if x.run.index in only else x
 
 
-def cut(from_s: float = -9.0, share: float = 1.0, only: Sequence[int] = ()) -> Writes:
+def cut(x: Taken, _: list[Taken], *, from_s: float = -9.0, share: float = 1.0) -> Taken:
     """Rows before a time, or after a share of them, are missing."""
-
-    def change(x: Taken, rng: np.random.Generator) -> Taken:
-        kept = (x.time_s >= from_s) & (np.arange(len(x.time_s)) < share * len(x.time_s))
-        return replace(x, time_s=x.time_s[kept], values=x.values[kept])
-
-    return _each(change, only)
+    return _kept(x, (x.time_s >= from_s) & (np.arange(len(x.time_s)) < share * len(x.time_s)))
 
 
-def lost_rows(share: float) -> Writes:
+def lost_rows(x: Taken, _: list[Taken], *, share: float) -> Taken:
     """The host was too busy."""
-
-    def change(x: Taken, rng: np.random.Generator) -> Taken:
-        kept = rng.uniform(size=len(x.time_s)) > share
-        return replace(x, time_s=x.time_s[kept], values=x.values[kept])
-
-    return _each(change)
+    return _kept(x, x.run.rng.uniform(size=len(x.time_s)) > share)
 
 
-def by_phone(gravity: bool = True, change: Callable[[str], str] = lambda text: text) -> Writes:
+def _kept(x: Taken, rows: np.ndarray) -> Taken:
+    return replace(x, time_s=x.time_s[rows], values=x.values[rows])
+
+
+def by_phone(
+    x: Taken, _: list[Taken], *, gravity: bool = True, change: Callable[[str], str] = lambda text: text
+) -> Taken:
     """An app's table instead of the firmware's."""
-
-    def written(x: Taken, rng: np.random.Generator) -> Taken:
-        own = x.values if gravity else x.values - x.values[x.time_s < -0.1].mean(axis=0)
-        return replace(x, text=change(phone_text(replace(x, values=own))))
-
-    return _each(written)
+    own = x.values if gravity else x.values - x.values[x.time_s < -0.1].mean(axis=0)
+    return replace(x, text=change(replace(x, values=own).by_phone()))
 
 
-def with_comment(line: str) -> Writes:
+def with_comment(x: Taken, _: list[Taken], *, line: str) -> Taken:
     """The firmware says something above the header."""
-    return _each(lambda x, rng: replace(x, comments=line + "\n"))
+    return replace(x, comments=line + "\n")
 
 
-def swapped(first: str, second: str) -> Writes:
+def swapped(x: Taken, _: list[Taken], *, names: Sequence[str]) -> Taken:
     """The captures of two experiments bear each other's names."""
-    other = {first: second, second: first}
-
-    def writes(taken: list[Taken]) -> list[Taken]:
-        return [replace(x, run=replace(x.run, experiment=other.get(x.run.experiment, x.run.experiment))) for x in taken]
-
-    return writes
+    other = dict(zip(names, reversed(names), strict=True))
+    return replace(x, run=replace(x.run, experiment=other.get(x.run.experiment, x.run.experiment)))
 
 
-def copied(taken: list[Taken]) -> list[Taken]:
+def copied(x: Taken, taken: list[Taken]) -> Taken:
     """The second repeats are copies of the first ones' files."""
-    firsts = {(x.chip, x.run.experiment): klipper_text(x) for x in taken if x.run.repeat == 1}
-    return [replace(x, text=firsts[x.chip, x.run.experiment]) for x in taken]
+    first = next(each for each in taken if each.run.repeat == 1 and each.run.experiment == x.run.experiment)
+    return replace(x, text=first.by_klipper())
 
 
-def twice_the_same_axis(taken: list[Taken]) -> list[Taken]:
+def twice_the_same_axis(x: Taken, _: list[Taken]) -> Taken:
     """A script exports y in place of z."""
-    return [replace(x, values=x.values[:, [0, 1, 1]]) for x in taken]
+    return replace(x, values=x.values[:, [0, 1, 1]])
 
 
 def in_ms(text: str) -> str:
     """Turn the times of a table into ms, and leave its header unchanged."""
     head, *rows = text.splitlines()
-    return (
-        "\n".join([head, *(f"{1e3 * float(t):.3f},{rest}" for t, rest in (row.split(",", 1) for row in rows))]) + "\n"
-    )
+    timed = (f"{1e3 * float(t):.3f},{rest}" for t, rest in (row.split(",", 1) for row in rows))
+    return "\n".join([head, *timed]) + "\n"
