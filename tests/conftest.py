@@ -1,6 +1,6 @@
 """Set up all tests: which are slow, no log, one cache for all of them, and the same draws of properties every time.
 
-HYPOTHESIS_PROFILE=default seeks new draws, `validation/fuzz.py` new prints.
+HYPOTHESIS_PROFILE=default seeks new draws, FUZZ_FROM (`fuzz/test_random_programs.py`) new prints.
 """
 
 from __future__ import annotations

@@ -1,7 +1,11 @@
-"""Random prints of every spelling and mode: what must always hold, held over many of them."""
+"""Random prints of every spelling and mode: what must always hold, held over many of them.
+
+FUZZ_FROM=1000000 FUZZ_TIMES=100 draws others, a hundred times as many.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
@@ -28,6 +32,7 @@ from tests.support.compensated import plainly
 from validation.invariants import violations
 
 FloatArray = NDArray[np.float64]
+FROM, TIMES = int(os.environ.get("FUZZ_FROM", "0")), int(os.environ.get("FUZZ_TIMES", "1"))
 RADIUS_MM = 120.0
 INCH_MM = 25.4
 FLOW = 0.05  # mm of filament per mm
@@ -312,15 +317,7 @@ def _inverter(machine: Machine) -> InverseModel:
 
 def compensated(data: bytes, own: InverseModel) -> bytes:
     """Through the main job."""
-    job = Job(
-        data,
-        "print.gcode",
-        own.machine,
-        plainly(
-            predict=False,
-        ),
-    )
-    return b"".join(job.lines())
+    return b"".join(Job(data, "print.gcode", own.machine, plainly(predict=False)).lines())
 
 
 def solved(data: bytes, own: InverseModel) -> Iterator[SolvedSection]:
@@ -329,7 +326,7 @@ def solved(data: bytes, own: InverseModel) -> Iterator[SolvedSection]:
     return (solved for _, solved in solutions(planned, own) if solved is not None)
 
 
-@pytest.mark.parametrize("seeds", [range(begin, begin + 30) for begin in range(0, 60, 30)], ids=str)
+@pytest.mark.parametrize("seeds", [range(k, k + 30) for k in range(FROM, FROM + 60 * TIMES, 30)], ids=str)
 def test_no_random_print_is_harmed(seeds: range) -> None:
     for seed in seeds:
         data = random_print(seed)
@@ -337,7 +334,7 @@ def test_no_random_print_is_harmed(seeds: range) -> None:
         assert violations(data, out, inverter().machine) == [], f"random_print({seed})"
 
 
-@pytest.mark.parametrize("seeds", [range(begin, begin + 10) for begin in range(0, 400, IN_A_ROW)], ids=BEDS)
+@pytest.mark.parametrize("seeds", [range(k, k + 10 * TIMES) for k in range(FROM, FROM + 400, IN_A_ROW)], ids=BEDS)
 def test_no_print_with_unknown_places_is_harmed(seeds: range) -> None:
     for seed in seeds:
         assert Case.of(seed).violations() == [], f"Case.of({seed})"
