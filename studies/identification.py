@@ -53,7 +53,7 @@ from models.vibration.modal import Axis, ModalAxes
 from models.vibration.substructures import Drive
 from studies.render import DATA, save
 from validation.plants import delta_plant
-from validation.plants.study import PLACES, error_reduction, measure_bench, measure_places, uneven
+from validation.plants.lab import PLACES, error_reduction, measure_bench, measure_places, uneven
 
 FloatArray = NDArray[np.float64]
 

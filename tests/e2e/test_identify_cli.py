@@ -18,7 +18,7 @@ from models.machine import value_of
 from tests.support.cli import CliRunner, Result
 from validation.plants import delta_plant
 from validation.plants.accelerometer import draw_chip, klipper_capture, nozzle_felt
-from validation.plants.study import PLACES, error_reduction, measure_bench, measure_places, uneven
+from validation.plants.lab import PLACES, error_reduction, measure_bench, measure_places, uneven
 
 TRUTH_FILE = LIBRARY / "mp-delta-pro.toml"
 TRUTH = load_machine(TRUTH_FILE)
