@@ -22,9 +22,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -35,6 +33,7 @@ import numpy as np
 from ffcomp.api.measurements import diagnose, gap
 from ffcomp.errors import FfcompError
 from studies.diagnosis_rivals import rivals
+from studies.diagnosis_tables import results
 from studies.render import REPORTS, ROOT, results_of, save
 from validation.blind import score
 from validation.blind.bank import (
@@ -47,13 +46,10 @@ from validation.blind.bank import (
     same_bank,
     verdict_path,
 )
-from validation.blind.kinds import KINDS, MACHINES
-from validation.blind.score import confusion_rows, miss, rate_of
+from validation.blind.kinds import MACHINES
 
 FIGURE = REPORTS / "diagnosis_confusion.png"
 LONGEST_S = 600  # of CPU: of the answer, and of its rivals
-EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
-METHODS = {"ours": "ffcomp", "sindy": "SINDy", "spike_slab": "spike and slab", "bic": "BIC, one effect"}
 
 
 def main() -> None:
@@ -227,136 +223,6 @@ def rivals_of(search: Any) -> dict[str, Any]:
     except Exception:
         failed = {"verdict": "failed", "effects": [], "why": traceback.format_exc()[-500:]}
         return dict.fromkeys(("sindy", "spike_slab", "bic"), failed)
-
-
-# ---- the results ---------------------------------------------------------------------------------
-
-
-def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the page says of all cases."""
-    everyone = {method: [as_said_by(j, method) for j in judged] for method in METHODS}
-    when = sorted(j.verdict["when"] for j in judged)
-    return {
-        "cases": options.cases,
-        "done": len(judged),
-        "kinds": dict(Counter(j.label.hides for j in judged)),
-        "seed": options.seed,
-        "seconds": options.seconds,
-        "when": {"first": when[0], "last": when[-1]},
-        "commits": dict(Counter(j.verdict["commit"] for j in judged)),
-        "verdict_s": {
-            m: _median([j.verdict.get("cpu_seconds") for j in judged if j.label.machine == m]) for m in KINDS
-        },
-        "cpu": cpu_of([j.verdict["cpu_seconds"] for j in judged if "cpu_seconds" in j.verdict]),
-        "rates": [rate_of(rate) for rate in score.rates(judged)],
-        "damping": by_damping(judged),
-        "late": late_of(judged),
-        "rests": rests_of([j for j in judged if j.label.rest and j.label.visible]),
-        "sets": asdict(score.sets(judged)),
-        "shrink": shrink_of(score.shrink(judged)),
-        "methods": [compared(name, everyone[method]) for method, name in METHODS.items()],
-        "strata": [stratum(everyone, *each) for each in _strata(judged)],
-        "power": [
-            {"low": low, "high": high, "right": rate.hits, "of": rate.total}
-            for low, high, rate in score.power(judged, EDGES)
-        ],
-        "confusion": confusion_rows(judged),
-        "misses": [miss(j) for j in judged if not score.as_wanted(j)],
-    }
-
-
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
-
-
-def cpu_of(seconds: Sequence[float]) -> dict[str, float]:
-    """Return how long verdicts take, s of CPU."""
-    return {"median": float(np.median(seconds)), "worst": max(seconds)}
-
-
-def by_damping(judged: Sequence[score.Judged]) -> list[dict[str, Any]]:
-    """Return the counts of cases whose damping is anywhere, beside the others of the same machines."""
-    machines = {j.label.machine for j in judged if j.label.condition == "free-damping"}
-    same = [j for j in judged if j.label.machine in machines and j.label.condition != "rest"]
-    free, known = ([j for j in same if (j.label.condition == "free-damping") == is_free] for is_free in (True, False))
-    both = zip(score.rates(free), score.rates(known), strict=True)
-    return [{"title": a.title, "free": rate_of(a), "known": rate_of(b)} for a, b in both]
-
-
-def late_of(judged: Sequence[score.Judged]) -> dict[str, dict[str, int]]:
-    """Count the cases, of those whose damping is anywhere and of others, that name a delay or an offset by mistake."""
-    found = {}
-    for which, is_free in (("free", True), ("known", False)):
-        cases = [j for j in judged if (j.label.condition == "free-damping") == is_free]
-        wrong = [bool({"sensor_time_offset", "command_delay"} & (j.named - score.acceptable(j))) for j in cases]
-        found[which] = {"hits": sum(wrong), "total": len(wrong)}
-    return found
-
-
-def rests_of(judged: Sequence[score.Judged]) -> dict[str, int]:
-    """Count how effects with a rest beside them were named."""
-    return {
-        "total": len(judged),
-        "alone": sum(j.right for j in judged),
-        "with_rest": sum(j.right_with_rest and not j.right for j in judged),
-        "beside": sum(j.truth < j.named for j in judged),
-        "unknown": sum(j.says == "unknown" and not j.dominant for j in judged),
-    }
-
-
-def as_said_by(j: score.Judged, method: str) -> score.Judged:
-    """Return the case with another method's verdict."""
-    if method == "ours":
-        return j
-    said = j.verdict.get("rivals", {}).get(method, {"verdict": score.FAILED, "effects": []})
-    return score.Judged(j.name, j.label, said)
-
-
-def _strata(judged: Sequence[score.Judged]) -> list[tuple[str, Callable[[score.Judged], bool]]]:
-    """Return the machines, and then the conditions, that have cases."""
-    machines = [m for m in KINDS if any(j.label.machine == m for j in judged)]
-    conditions = sorted({j.label.condition for j in judged})
-    return [
-        *((m, lambda j, m=m: j.label.machine == m) for m in machines),
-        *((c, lambda j, c=c: j.label.condition == c) for c in conditions),
-    ]
-
-
-def stratum(
-    everyone: Mapping[str, Sequence[score.Judged]], name: str, belongs: Callable[[score.Judged], bool]
-) -> dict[str, Any]:
-    """Count, for every method, the cases of a stratum that ended as they should."""
-    own = {method: [score.as_wanted(j) for j in cases if belongs(j)] for method, cases in everyone.items()}
-    total = len(own["ours"])
-    told = [{"hits": sum(each), "interval": score.wilson(sum(each), total)} for each in own.values()]
-    return {"name": name, "total": total, "methods": told}
-
-
-def compared(name: str, judged: Sequence[score.Judged]) -> dict[str, Any]:
-    """Return the counts by which methods are compared."""
-    wanted = ("top-1", "a wrong name", "nothing hidden and", "outside", "pairs, both")
-    told = [next(rate for rate in score.rates(judged) if rate.title.startswith(w)) for w in wanted]
-    hits = sum(score.as_wanted(j) for j in judged)
-    return {
-        "name": name,
-        "rates": [rate_of(rate) for rate in told],
-        "hits": hits,
-        "interval": score.wilson(hits, len(judged)),
-    }
-
-
-def shrink_of(left: Sequence[float]) -> dict[str, Any] | None:
-    """Return what is left of the gap on fresh runs, or None if nothing was measured."""
-    if not left:
-        return None
-    median = float(np.median(left))
-    return {
-        "count": len(left),
-        "median": median,
-        "quartiles": np.percentile(left, [25, 75]),
-        "verdict": "reached" if median <= 0.05 else "missed",
-    }
 
 
 def draw_confusion(judged: Sequence[score.Judged], path: Path) -> None:

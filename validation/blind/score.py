@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -191,30 +190,6 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
     ]
 
 
-@dataclass(frozen=True)
-class Sets:
-    """Verdicts of visible effects that name more than one explanation."""
-
-    total: int
-    in_set: int  # the truth is one of them
-    recording: int  # of these, a recording that separates them is named
-    settled: int  # of these, the given runs separate them already, by the answer
-    twins: int  # of these, no move separates them, by the answer
-
-
-def sets(judged: Sequence[Judged]) -> Sets:
-    """Count the verdicts that name a set, and their answers on how to separate its members."""
-    several = [j for j in judged if j.named and j.label.visible and j.verdict.get("confusable_with")]
-    right = [j for j in several if j.in_set]
-    separations = [j.verdict.get("separate", []) for j in right]
-    recording = [any(each["separates"] and each["record"] for each in own) for own in separations]
-    twins = [any(not each["separates"] for each in own) for own in separations]
-    settled = [
-        bool(own) and not asked and not twin for own, asked, twin in zip(separations, recording, twins, strict=True)
-    ]
-    return Sets(len(several), len(right), sum(recording), sum(settled), sum(twins))
-
-
 def _ninety(share: float) -> bool:
     return 0.85 <= share <= 0.95
 
@@ -284,40 +259,6 @@ def confusion(judged: Sequence[Judged]) -> dict[str, Counter[str]]:
             answer = f"{found} right, {extra} wrong" if j.says == "effects" else j.says
         table.setdefault(row, Counter())[answer] += 1
     return table
-
-
-def power(judged: Sequence[Judged], edges: Sequence[float]) -> list[tuple[float, float, Rate]]:
-    """Top-1 of single effects against what retuning leaves of them, as an rms in noises."""
-    single = [(j, _left(j)) for j in judged if j.label.hides == "single"]
-    found = []
-    for low, high in pairwise(edges):
-        inside = [j for j, left in single if low <= left < high]
-        found.append((low, high, Rate("top-1", sum(j.right for j in inside), len(inside), "", lambda _: True)))
-    return found
-
-
-def _left(j: Judged) -> float:
-    return float(np.sqrt(min(max(v.left, 0.0) / v.rows for v in j.label.visibility.values())))
-
-
-# ---- the score as plain data ---------------------------------------------------------------------
-
-
-def rate_of(rate: Rate) -> dict[str, Any]:
-    """Return one rate with its Wilson interval and its aim."""
-    low, high = rate.interval
-    return {key: getattr(rate, key) for key in ("title", "hits", "total", "aim", "verdict")} | {
-        "low": low,
-        "high": high,
-    }
-
-
-def confusion_rows(judged: Sequence[Judged]) -> list[dict[str, Any]]:
-    """Return the answers, for everything that was hidden."""
-    return [
-        {"hidden": row, "said": [{"answer": answer, "count": n} for answer, n in counts.most_common()]}
-        for row, counts in sorted(confusion(judged).items())
-    ]
 
 
 def miss(j: Judged) -> dict[str, Any]:
