@@ -20,7 +20,7 @@ import numpy as np
 
 from ffcomp import shapers
 from ffcomp.comparison.baselines import shaped
-from ffcomp.comparison.methods import segments_motion
+from ffcomp.comparison.methods import segments, segments_motion
 from ffcomp.inverse.settings import WriterSettings, settings_for
 from ffcomp.planner.trajectory import Trajectory
 from studies.render import save
@@ -76,7 +76,7 @@ def whole_rows(name: str, original: judge.Original) -> Iterator[Row]:
 
 def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) -> Iterator[Row]:
     ours = judge.compensated(original)
-    own = judge.segments(original, ours)
+    own = segments(ours, original.machine)
     answer = judge.answer(original, segments_motion(own))
     yield row("**ffcomp**", judge.score(original, answer), none, own.trajectory, original.trajectory)
     far = np.hypot(*plan.wanted[:, :2].T).max() >= FAR_MM
@@ -158,7 +158,7 @@ def ablation_rows(original: judge.Original) -> Iterator[Row]:
     usual = settings_for(original.machine)
     for label, changed in ABLATIONS.items():
         ours = judge.compensated(original, replace(usual, **changed))
-        own = judge.segments(original, ours)
+        own = segments(ours, original.machine)
         score = judge.judge(original, segments_motion(own))
         yield row(label, score, none, own.trajectory, original.trajectory)
 

@@ -135,18 +135,10 @@ def _cut(program: Program, first: int, last: int) -> Iterator[bytes]:
             yield line
 
 
-# ---- motions -------------------------------------------------------------------------------------
-
-
 def compensated(original: Original, settings: Settings | None = None) -> Compensated:
     """The original print, compensated for its machine as the command line does it, in Klipper's flavor."""
     inverter = InverseModel(original.machine, settings or settings_for(original.machine))
     return ours.compensated(original.planned, inverter, "klipper")
-
-
-def segments(original: Original, found: Compensated) -> Segments:
-    """Read the compensated file as a firmware would, and find the runs in it."""
-    return ours.segments(found, original.machine)
 
 
 # ---- the Kalico host's plan ----------------------------------------------------------------------
@@ -308,8 +300,8 @@ class Case:
 def case(name: str, when_s: tuple[float, float]) -> Case:
     """A sample print, or a part of it, compensated."""
     original = sample_print(name, *when_s)
-    ours = compensated(original)
-    return Case(original, ours, segments(original, ours))
+    found = compensated(original)
+    return Case(original, found, ours.segments(found, original.machine))
 
 
 def part(name: str) -> Case:

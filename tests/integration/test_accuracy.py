@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tomlkit
 
-from ffcomp.comparison.methods import segments_motion
+from ffcomp.comparison.methods import segments, segments_motion
 from ffcomp.simulation.command import SectionClock, motion_of
 from models.file import load_machine
 from models.vibration.scheduled import plant_table
@@ -101,7 +101,7 @@ def test_a_crooked_delta_prints_as_well_as_a_straight_one(tmp_path: Path) -> Non
     few = b";LAYER_CHANGE".join(text.split(b";LAYER_CHANGE")[: LAYERS + 1])
     original = judge.Original(few, "few.gcode", machine_file)
     found = judge.compensated(original)
-    ours = judge.segments(original, found)
+    ours = segments(found, original.machine)
     before = judge.judge(original, original.motion)
     after = judge.judge(original, judge.motion_of(ours.trajectory, ours.clock(ours.trajectory.start_t)))
     assert before.contour_rms_um > 30.0

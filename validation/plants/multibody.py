@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -31,7 +31,6 @@ from scipy.signal import StateSpace, lsim
 
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.substructures import Drive
 from validation.plants import straight_plant
 
 FloatArray = NDArray[np.float64]
@@ -61,38 +60,7 @@ class Choice:
     gravity: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Multibody:
-    """A printer standing at a place."""
-
-    model: Any  # mujoco.MjModel
-    machine: Machine
-    home_m: FloatArray  # (3,) nozzle, X Y Z
-    home_q_m: FloatArray  # (3,) carriages, A B C
-
-    @property
-    def nozzle_at(self) -> int:
-        """Where the nozzle's x, y, z stand in `qpos`."""
-        return int(self.model.jnt_qposadr[self.model.body("effector").jntadr[0]])
-
-    @property
-    def carriages_at(self) -> list[int]:
-        """Where q_A, q_B, q_C stand in `qpos`."""
-        return [int(self.model.joint(f"q_{tower}").qposadr[0]) for tower in "ABC"]
-
-
 # ---- the machine's parts as MuJoCo reads them ----------------------------------------------------
-
-
-def build(machine: Machine, place_mm: FloatArray, choice: Choice = Choice()) -> Multibody:
-    """The printer with its nozzle at `place_mm` : (3,) mm, at ease."""
-    home = np.asarray(place_mm, dtype=float) / 1e3
-    geometry = delta_vibration(machine).kinematics
-    away = home[:2] - geometry.towers_mm / 1e3
-    heights = home[2] + geometry.effector_height_mm / 1e3
-    home_q = heights + np.sqrt((geometry.arm_lengths_mm / 1e3) ** 2 - np.sum(away**2, axis=1))
-    text = "\n".join(_document(machine, home, home_q, choice))
-    return Multibody(mujoco.MjModel.from_xml_string(text), machine, home, home_q)
 
 
 def _document(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[str]:
@@ -115,43 +83,36 @@ def _document(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Ch
     yield "</actuator></mujoco>"
 
 
-@dataclass(frozen=True, eq=False)
-class Rod:
-    """One rod in the reference pose, from its joint on the carriage to its joint on the effector."""
+class Rod(NamedTuple):
+    """One rod in the reference pose, from its joint on the carriage to its joint on the effector, (3,) m each."""
 
     tower: str
     name: str
     mass_kg: float
-    upper_m: FloatArray  # (3,)
-    lower_m: FloatArray  # (3,)
-    seat_m: FloatArray  # (3,) the lower joint seen from the nozzle tip
+    upper: FloatArray
+    lower: FloatArray
+    seat: FloatArray  # the lower joint seen from the nozzle tip
 
 
 def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[Rod]:
     own = delta_vibration(machine)
     geometry, ring = own.kinematics, own.effector.joint_radius_mm / 1e3
     aside = (-HALF_PAIR_M, HALF_PAIR_M) if choice.effector == "parallelograms" else (0.0,)
+    mass, up = own.carriage.arm_pair_mass_kg / len(aside), np.array([0.0, 0.0, 1.0])
     parts = zip("ABC", geometry.tower_angles_rad, geometry.delta_radii_mm / 1e3, home_q, strict=True)
     for tower, angle, radius, height in parts:
         outward, tangent = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
         for n, offset in enumerate(aside):
-            seat = ring * outward + offset * tangent + [0.0, 0.0, geometry.effector_height_mm / 1e3]
-            upper = (radius + ring) * outward + offset * tangent + [0.0, 0.0, height]
-            yield Rod(
-                tower,
-                f"{tower}{n}",
-                own.carriage.arm_pair_mass_kg / len(aside),
-                upper,
-                home + seat,
-                seat,
-            )
+            joint = ring * outward + offset * tangent
+            seat = joint + geometry.effector_height_mm / 1e3 * up
+            yield Rod(tower, f"{tower}{n}", mass, joint + radius * outward + height * up, home + seat, seat)
 
 
 def _carriage(machine: Machine, tower: str, rods: list[Rod], choice: Choice) -> Iterator[str]:
     carriage = delta_vibration(machine).carriage
     damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
     axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping)
-    middle = np.mean([rod.upper_m for rod in rods], axis=0)
+    middle = np.mean([rod.upper for rod in rods], axis=0)
     yield f"<body name='carriage_{tower}' pos='{_row(middle)}'>{axis}"
     yield _mass(carriage.mass_kg)
     for rod in rods:
@@ -161,12 +122,12 @@ def _carriage(machine: Machine, tower: str, rods: list[Rod], choice: Choice) -> 
 
 def _rod(rod: Rod, carriage: FloatArray, choice: Choice) -> Iterator[str]:
     """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, m L²/4 of what is at the ends."""
-    along = rod.lower_m - rod.upper_m
+    along = rod.lower - rod.upper
     length = float(np.linalg.norm(along))
     at_ends = AT_ENDS[choice.arms]
     across = rod.mass_kg * length**2 * (at_ends / 4 + (1 - at_ends) / 12)
     inertia = _row(np.array([across, across, rod.mass_kg * ROD_RADIUS_M**2 / 2]))
-    yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper_m - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
+    yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
     yield f"<inertial pos='0 0 {length / 2!r}' mass='{rod.mass_kg}' diaginertia='{inertia}'/>"
     yield f"<site name='low_{rod.name}' pos='0 0 {length!r}'/></body>"
 
@@ -183,7 +144,7 @@ def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choic
     else:
         yield from (_sprung(axis, axis, 0.0, 0.0) for axis in "xyz")
     yield f"<inertial pos='{centre}' mass='{effector.nozzle_mass_kg}' diaginertia='{inertia}'/>"
-    yield from (f"<site name='seat_{rod.name}' pos='{_row(rod.seat_m)}'/>" for rod in rods)
+    yield from (f"<site name='seat_{rod.name}' pos='{_row(rod.seat)}'/>" for rod in rods)
     yield f"<body name='extruder' pos='{centre}'>"
     mount = zip("xyz", effector.extruder_stiffness_n_per_m, effector.extruder_damping_n_s_per_m, strict=True)
     yield from (_sprung(axis, f"eta_{axis}", k, b) for axis, k, b in mount)
@@ -206,9 +167,8 @@ def _row(values: FloatArray) -> str:
 # ---- rest --------------------------------------------------------------------------------
 
 
-def _at_rest(printer: Multibody) -> Any:
+def _at_rest(model: Any) -> Any:
     """MuJoCo's data with all forces in balance, by Newton's method."""
-    model = printer.model
     data = mujoco.MjData(model)
     for _ in range(20):
         unbalanced = _acceleration(model, data)
@@ -216,7 +176,7 @@ def _at_rest(printer: Multibody) -> Any:
         mujoco.mj_integratePos(model, data.qpos, step, 1.0)
         if np.max(np.abs(step)) < SETTLED_M:
             return data
-    raise ValueError(f"The printer at {printer.home_m * 1e3} mm finds no rest: it still moves by {step} (m, rad).")
+    raise ValueError(f"The printer finds no rest: it still moves by {step} (m, rad).")
 
 
 def _by_position(model: Any, data: Any) -> FloatArray:
@@ -251,39 +211,33 @@ def play(
     nozzle_mm : (3,) mm, the commanded nozzle at first.
     command_mm : (n, 3) mm, columns A B C, a row each `dt_s`; a cubic spline in between.
     """
-    printer = build(machine, nozzle_mm, choice)
-    force = _motor_force(printer, command_mm / 1e3 - printer.home_q_m, dt_s)
-    data = _at_rest(printer)
+    home, geometry = nozzle_mm / 1e3, delta_vibration(machine).kinematics
+    away = home[:2] - geometry.towers_mm / 1e3
+    heights = home[2] + geometry.effector_height_mm / 1e3
+    home_q = heights + np.sqrt((geometry.arm_lengths_mm / 1e3) ** 2 - np.sum(away**2, axis=1))
+    model = mujoco.MjModel.from_xml_string("\n".join(_document(machine, home, home_q, choice)))
+    data = _at_rest(model)
     start = np.concatenate([[0.0], data.qpos, data.qvel])
-    states, _ = rollout.rollout(printer.model, data, start[None], force[None])
-    qpos = np.vstack([start[1 : 1 + printer.model.nq], states[0, :, 1 : 1 + printer.model.nq]])
-    at = slice(printer.nozzle_at, printer.nozzle_at + 3)
-    nozzle = 1e3 * (printer.home_m + qpos[:, at] - printer.model.qpos0[at])
-    return nozzle, 1e3 * (printer.home_q_m + qpos[:, printer.carriages_at])
+    force = _motor_force(machine, command_mm / 1e3 - home_q, dt_s)
+    states, _ = rollout.rollout(model, data, start[None], force[None])
+    qpos = np.vstack([start[1 : 1 + model.nq], states[0, :, 1 : 1 + model.nq]])
+    first = int(model.jnt_qposadr[model.body("effector").jntadr[0]])
+    nozzle, carriages = slice(first, first + 3), [int(model.joint(f"q_{tower}").qposadr[0]) for tower in "ABC"]
+    return 1e3 * (home + qpos[:, nozzle] - model.qpos0[nozzle]), 1e3 * (home_q + qpos[:, carriages])
 
 
-def _motor_force(printer: Multibody, told: FloatArray, dt_s: float) -> FloatArray:
-    """k u + c u̇ in the middle of each step, (steps, 3) N, for commands (n, 3) m from home."""
-    carriage, half = delta_vibration(printer.machine).carriage, printer.model.opt.timestep / 2
-    u, speed = motor_motion(printer.machine, told, dt_s, half)
+def _motor_force(machine: Machine, told: FloatArray, dt_s: float) -> FloatArray:
+    """k u + c u̇ in the middle of each step, (steps, 3) N, for commands (n, 3) m from home, each `dt_s`.
+
+    u and u̇ are the drive's answers from rest, (d₁ s + d₀)/(s² + d₂ s + d₀) in controllable form.
+    """
+    carriage, rows = delta_vibration(machine).carriage, dt_s * np.arange(len(told))
+    assert carriage.drive is not None
+    d0, d1, d2 = carriage.drive.d0_per_s2, carriage.drive.d1_per_s, carriage.drive.d2_per_s
+    drive = StateSpace([[0, 1], [-d0, -d2]], [[0], [1]], [[d0, d1], [-d0 * d1, d0 - d1 * d2]], [[0], [d1]])
+    t = STEP_S / 2 * np.arange(round(2 * rows[-1] / STEP_S) + 1)
+    u, speed = np.stack([lsim(drive, column, t)[1].T for column in CubicSpline(rows, told)(t).T], axis=-1)
     return (carriage.belt_stiffness_n_per_m * u + carriage.belt_damping_n_s_per_m * speed)[1::2]
-
-
-def motor_motion(machine: Machine, told: FloatArray, dt_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """u and u̇ : (m, 3) each `step_s`, the drive's answer from rest to commands (n, 3) each `dt_s`."""
-    own = delta_vibration(machine).carriage.drive
-    assert own is not None
-    rows = dt_s * np.arange(len(told))
-    t = step_s * np.arange(round(rows[-1] / step_s) + 1)
-    drive = _drive(own)
-    moved = np.stack([lsim(drive, column, t)[1] for column in CubicSpline(rows, told)(t).T], axis=-1)
-    return moved[:, 0], moved[:, 1]
-
-
-def _drive(drive: Drive) -> StateSpace:
-    """(d₁ s + d₀)/(s² + d₂ s + d₀) in controllable form, with u and u̇ as its two outputs."""
-    d0, d1, d2 = drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s
-    return StateSpace([[0, 1], [-d0, -d2]], [[0], [1]], [[d0, d1], [-d0 * d1, d0 - d1 * d2]], [[0], [d1]])
 
 
 # ---- straight axes -------------------------------------------------------------------------------
