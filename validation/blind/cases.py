@@ -28,14 +28,13 @@ from ffcomp.record.result import DELAY_SD_S
 from validation.blind.captures import joined_runs, planned_motions
 from validation.blind.kinds import KINDS, Kind
 from validation.blind.motions import Motion
-from validation.blind.real import FloatArray, Reading, Real, Tables, combined, toml_of
+from validation.blind.real import FloatArray, Reading, Real, Tables, combined, read_at, toml_of
 from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
 from validation.blind.visible import (
     PROBE,
     Visibility,
     retuning,
     samples,
-    visibility_by_other_clocks,
     visibility_by_refit,
     whitened,
 )
@@ -347,23 +346,31 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
         partial(plan.judged, Real(machine, readers=plan.plain.readers), readings, True)
         for machine in (plan.plain.machine, *probed)
     ]
-    taken = zip(samples(plan.sensors, readings), samples(plan.sensors, players[0]()), strict=True)
+    plain, spreads, clocks = players[0](), plan.spreads, 0
+    if plan.label.condition == "joined":  # the clock of each motion is in doubt
+        clocks = len(plain)
+        players += [partial(_late, plain, PROBE * one) for one in np.eye(clocks)]
+        spreads += (1.0,) * clocks
+    taken = zip(samples(plan.sensors, readings), samples(plan.sensors, plain), strict=True)
     counts = [min(pair) for pair in taken]
-    n = retuning(players[0], players[1:], plan.sensors, plan.repeats, counts, plan.spreads)
+    n = retuning(plain, players[1:], plan.sensors, plan.repeats, counts, spreads)
     told = partial(whitened, plan.sensors, repeats=plan.repeats, counts=counts)
     own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
-    true = told(own)
-    others = {name: plan.judged(real, readings) for name, real in plan.without.items()}
-    if plan.label.condition == "joined":
-        sd_s = DELAY_SD_S["firmware"]
-        return {name: visibility_by_other_clocks(true, o, n, sd_s, told) for name, o in others.items()}
 
     def moved(real: Real, z: FloatArray) -> FloatArray:
         """Return the data of a printer whose numbers are off by so many standard deviations, at most by half."""
-        off = np.clip(z * plan.spreads, -0.5, 0.5) / PROBE
+        numbers = len(z) - clocks
+        off = np.clip(z[:numbers] * plan.spreads, -0.5, 0.5) / PROBE
         machine = combined(real.machine, list(plan.kind.probes(real.machine, PROBE)), off.tolist())
-        return told(plan.judged(replace(real, machine=machine), readings))
+        found = plan.judged(replace(real, machine=machine), readings)
+        return told(_late(found, z[numbers:]) if clocks else found)
 
+    others = {name: told(plan.judged(real, readings)) for name, real in plan.without.items()}
     return {
-        name: visibility_by_refit(true, told(o), n, partial(moved, plan.without[name])) for name, o in others.items()
+        name: visibility_by_refit(told(own), o, n, partial(moved, plan.without[name])) for name, o in others.items()
     }
+
+
+def _late(readings: Sequence[Reading], by: FloatArray) -> list[Reading]:
+    """Return readings whose accelerometers are late by so many standard deviations of a clock."""
+    return [read_at(r, r.t - DELAY_SD_S["firmware"] * z) for r, z in zip(readings, by, strict=True)]

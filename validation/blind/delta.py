@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from validation.blind import effects
-from validation.blind.effects import SHARED, by_name, of_kind
+from validation.blind.effects import SHARED, Drawn, by_name, of_kind
 from validation.blind.motions import Motion, Place, points
-from validation.blind.real import Drawn, FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, sign, told
+from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, sign, told
 from validation.plants.delta_plant import carriages_of, paper_shares, simulate
 
 STEP_S, KEPT_EVERY = 1 / 12800, 2  # 6400 samples a second: what a sensor's clock then picks from
@@ -180,32 +180,14 @@ def _forces(_: Real, **values: FloatArray) -> Tables:
 
 
 TOWERS = Drawn(
+    column=0,
     motors=3,
     loads=lambda real: np.ones(3),
     forces=_forces,
-    uneven=(0.3, 1.7),
-    friction=(1.0, 4.0),
-    stiction=(0.8, 2.2),
-    grease=(8.0, 25.0),
-    slope_per_m=(0.7, 1.8),
-    centre_mm=(330, 430),
-    play_mm=(0.04, 0.12),
-    stepper_mm=(0.35, 0.8),
-    ripple_mm=(0.004, 0.014),
-    frame_kg=(4.0, 14.0),
-    frame_hz=(10.0, 45.0),
-    pulley_m=(4e-5, 9e-5),
-    pulley_share=(0.15, 0.3),
-    warm_share=(0.15, 0.3),
-    warm_s=(0.8, 2.0),
-    cable=(0.1, 0.25),
-    fan=(0.4, 1.2),
-    felt=(1.0,) * 6,
-    notch=(3.0, 8.0),
     springs=_springs,
     stiffened=lambda real, by: real.changed("carriage", belt_stiffness_n_per_m=_springs(real) * (1 + by)),
     of_belts=_forces,
-    stretch_m=lambda _: (2e-4, 4e-4),
+    felt=(1.0,) * 6,
     softens=0.3,
 )
 

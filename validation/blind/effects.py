@@ -7,34 +7,89 @@ catalogue is meant for `OUTSIDE`, whose table is empty: there a diagnosis must e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from numba import njit
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from validation.blind.real import (
-    Drawn,
     FloatArray,
     Hide,
     Order,
+    Range,
     Reading,
     Real,
     Rng,
     Tables,
-    behind,
-    clipped_at,
-    hummed,
     read_at,
     sign,
-    slipped,
     slowed,
     told,
 )
 from validation.plants.shapes import BREAKS, TANH
+
+SLIP_S = 0.006
+# Ranges that sizes are drawn from: of deltas, of straight axes, and of an axis that a force drives if it has its own.
+# Forces are for each motor of a delta, and per kilogram elsewhere.
+SIZES: Mapping[str, Sequence[Range]] = {
+    "uneven": ((0.3, 1.7), (0.4, 1.6)),  # where motors differ, each is so many times the middle
+    "friction": ((1.0, 4.0), (1.2, 4.0), (0.3, 1.5)),
+    "stiction": ((0.8, 2.2), (1.2, 3.0), (0.4, 1.5)),
+    "grease": ((8.0, 25.0), (12.0, 40.0), (2.0, 8.0)),
+    "slope_per_m": ((0.7, 1.8), (1.0, 2.2)),
+    "centre_mm": ((330, 430), (70, 130)),
+    "play_mm": ((0.04, 0.12), (0.06, 0.16), (0.04, 0.12)),
+    "stretch_m": ((2e-4, 4e-4), (2.5e-4, 6e-4), (0.6, 1.5)),  # at which a belt that hardens is half as stiff again
+    "stepper_mm": ((0.35, 0.8), (0.5, 1.0)),
+    "ripple_mm": ((0.004, 0.014), (0.005, 0.015)),
+    "frame_kg": ((4.0, 14.0), (5.0, 15.0)),
+    "frame_hz": ((10.0, 45.0), (10.0, 30.0)),
+    # outside the catalogue
+    "pulley_m": ((4e-5, 9e-5), (8e-5, 1.6e-4)),
+    "pulley_share": ((0.15, 0.3), (0.2, 0.35)),
+    "warm_share": ((0.15, 0.3), (0.2, 0.35)),
+    "warm_s": ((0.8, 2.0), (0.6, 1.5)),
+    "cable": ((0.1, 0.25), (0.1, 0.2)),  # kg, or a share of what `loads` has
+    "fan": ((0.4, 1.2), (0.5, 1.5)),
+    "notch": ((3.0, 8.0), (4.0, 10.0)),
+}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """How one kind of printer hides effects."""
+
+    column: int  # of SIZES
+    motors: int
+    loads: Callable[[Real], FloatArray]  # (motors,), what a force of one is on each motor, N
+    forces: Callable[..., Tables]  # of a printer and arrays (motors,) by key: a file's table of forces
+    springs: Callable[[Real], FloatArray]  # (motors,) N/m
+    stiffened: Callable[[Real, FloatArray], Real]  # by these shares, (motors,)
+    of_belts: Callable[..., Tables]  # as `forces`, of the belts
+    felt: tuple[float, ...]  # (6,): 1 where a sensor of carriages or nozzle is
+    softens: float = 0.0  # share of the belts that harden which soften
+    bends: bool = True  # whether dry friction may bend before it slides
+    stretched: Callable[[Real], float] = lambda _: 1.0  # m, that `stretch_m` is in parts of
+
+    def draw(self, rng: Rng, size: str, count: int | None = None) -> Any:
+        """Draw a size, or some."""
+        ranges = SIZES[size]
+        return rng.uniform(*ranges[min(self.column, len(ranges) - 1)], count)
+
+    def each(self, rng: Rng, value: float) -> FloatArray:
+        """Draw the same for every motor, or as often as not different ones: (motors,)."""
+        uneven = self.draw(rng, "uneven", self.motors)
+        return np.asarray(value * (uneven if rng.random() < 0.35 else np.ones(self.motors)))
+
+    def some(self, rng: Rng) -> FloatArray:
+        """Draw one motor, or all: (motors,), ones and zeros."""
+        return np.eye(self.motors)[rng.integers(self.motors)] if rng.random() < 0.5 else np.ones(self.motors)
+
 
 Drawing: TypeAlias = Callable[[Drawn, Rng, float, Real], tuple[Tables, Real]]
 
@@ -68,13 +123,13 @@ def presliding(rng: Rng, force: FloatArray, kind: int, length: float) -> dict[st
 
 def coulomb_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide dry friction of the guides."""
-    force = size * kind.each(rng, rng.uniform(*kind.friction)) * kind.loads(real)
+    force = size * kind.each(rng, kind.draw(rng, "friction")) * kind.loads(real)
     return kind.forces(real, force_n=force), real.having(dry=force, **_dry(kind, rng, force))
 
 
 def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide friction whose surplus falls as exp(-|v|/v_s), not as a bell."""
-    force = size * rng.uniform(*kind.stiction) * kind.loads(real)
+    force = size * kind.draw(rng, "stiction") * kind.loads(real)
     extra, speed = rng.uniform(0.5, 1.2) * force, rng.uniform(6.0, 25.0)
     table = {**kind.forces(real, force_n=force, extra_force_n=extra), "velocity_mm_per_s": speed}
     return table, real.having(dry=force, stick=extra, stick_v=speed / 1e3, stick_power=1.0, **_dry(kind, rng, force))
@@ -82,7 +137,7 @@ def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[T
 
 def guide_damping(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide grease that thins with speed."""
-    added = size * kind.each(rng, rng.uniform(*kind.grease)) * kind.loads(real)
+    added = size * kind.each(rng, kind.draw(rng, "grease")) * kind.loads(real)
     return kind.forces(real, added_n_s_per_m=added), real.having(grease=added)
 
 
@@ -97,29 +152,29 @@ def belt_stiffness(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tabl
 
 def belt_hardening(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a cubic force, with a fifth power that comes to a tenth of it at the usual stretch, and always hardens."""
-    stretch, way = rng.uniform(*kind.stretch_m(real)), -0.25 if rng.random() < kind.softens else 1.0
+    stretch, way = kind.draw(rng, "stretch_m") * kind.stretched(real), -0.25 if rng.random() < kind.softens else 1.0
     cubic = size * way * 0.5 * kind.springs(real) / stretch**2
     return kind.of_belts(real, cubic_n_per_m3=cubic), real.having(cubic=cubic, quintic=0.1 * abs(cubic) / stretch**2)
 
 
 def belt_position_stiffness(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide belts whose compliance grows evenly with their free length: k = k_0/(1 - r (q - q_c))."""
-    slope = size * sign(rng) * rng.uniform(*kind.slope_per_m) * np.ones(kind.motors)
-    centre = rng.uniform(*kind.centre_mm)
+    slope = size * sign(rng) * kind.draw(rng, "slope_per_m") * np.ones(kind.motors)
+    centre = kind.draw(rng, "centre_mm")
     table = {"slope_per_m": told(slope), "q_centre_mm": centre}
     return table, real.having(slope=slope, slope_at=np.full(kind.motors, centre / 1e3))
 
 
 def belt_backlash(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide play with soft flanks and a damped landing."""
-    width = size * kind.each(rng, rng.uniform(*kind.play_mm))
+    width = size * kind.each(rng, kind.draw(rng, "play_mm"))
     fields = {"play": width / 1e3, "flank": rng.uniform(1e-6, 4e-6), "landing": rng.uniform(0.1, 0.5)}
     return {"width_mm": told(width)}, real.having(**fields)
 
 
 def torque_angle(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a motor's sine in series with its belt, a tenth of the compliance; a smaller `size`, a stronger motor."""
-    peak = rng.uniform(*kind.stepper_mm) / size if size > 0 else 0.0
+    peak = kind.draw(rng, "stepper_mm") / size if size > 0 else 0.0
     return {"amplitude_mm": peak}, real.having(stepper=np.full(kind.motors, peak / 1e3), stepper_share=0.9)
 
 
@@ -143,7 +198,7 @@ def _late(rng: Rng, delay: FloatArray) -> Order:
 
 def cogging(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a ripple once a full step or once in four, with a second harmonic."""
-    amplitude = size * kind.each(rng, rng.uniform(*kind.ripple_mm))
+    amplitude = size * kind.each(rng, kind.draw(rng, "ripple_mm"))
     pitch = float(rng.choice([1.0, 4.0])) / real.machine["steps"]["full_steps_per_mm"]
     fields = {
         "ripple": amplitude / 1e3,
@@ -159,7 +214,7 @@ def cogging(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Rea
 
 def frame_mode(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a frame that sways in one direction, or in both as two modes a few percent apart."""
-    mass, hertz, ratio = rng.uniform(*kind.frame_kg), rng.uniform(*kind.frame_hz), rng.uniform(0.02, 0.07)
+    mass, hertz, ratio = kind.draw(rng, "frame_kg"), kind.draw(rng, "frame_hz"), rng.uniform(0.02, 0.07)
     angle, both = rng.uniform(0, np.pi), rng.random() < 0.4
     along = np.array([np.cos(angle), np.sin(angle)])
     omega = 2 * np.pi * hertz * np.array([1.0, rng.uniform(0.97, 1.03) if both else 1.0])
@@ -200,10 +255,7 @@ def sensor_misalignment(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Ta
     angles = size * rng.uniform(1.5, 5.0, 3) * rng.choice([-1.0, 1.0], 3)
     axes = Rotation.from_rotvec(np.radians(angles)).as_matrix()
 
-    def read(r: Reading) -> Reading:
-        return replace(r, nozzle=r.nozzle @ axes)
-
-    return {"angles_deg": angles.tolist()}, real.read_by(read)
+    return {"angles_deg": angles.tolist()}, real.read_by(lambda r: replace(r, nozzle=r.nozzle @ axes))
 
 
 def sensor_time_offset(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -224,9 +276,9 @@ def sensor_clock_drift(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tab
 def off_centre_pulley(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a belt that runs ahead once a turn (40 mm), and is tighter."""
     fields = {
-        "ripple": size * rng.uniform(*kind.pulley_m, kind.motors),
+        "ripple": size * kind.draw(rng, "pulley_m", kind.motors),
         "ripple_wave": np.full(kind.motors, 2 * np.pi / 0.04),
-        "pulley_share": size * rng.uniform(*kind.pulley_share),
+        "pulley_share": size * kind.draw(rng, "pulley_share"),
         "pulley_wave": 2 * np.pi / 0.04,
     }
     return {}, real.having(**fields)
@@ -234,23 +286,44 @@ def off_centre_pulley(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[T
 
 def warming_belt(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide belts that soften while they work; before the next run they cool."""
-    return {}, real.having(warm_share=size * rng.uniform(*kind.warm_share), warm_s=rng.uniform(*kind.warm_s))
+    return {}, real.having(warm_share=size * kind.draw(rng, "warm_share"), warm_s=kind.draw(rng, "warm_s"))
 
 
 def slow_driver(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a driver that cannot turn its motors faster than a limit, and catches up when it can."""
-    return {}, real.ordered(behind(rng.uniform(25.0, 40.0) / size if size > 0 else np.inf))
+    fastest = rng.uniform(25.0, 40.0) / size if size > 0 else np.inf
+    return {}, real.ordered(lambda t, command: _behind(np.ascontiguousarray(command), fastest * (t[1] - t[0])))
+
+
+@njit(cache=True)
+def _behind(command: FloatArray, most: float) -> FloatArray:
+    """Follow (n, motors) by at most so much a row."""
+    out = command.copy()
+    for n in range(1, len(command)):
+        for i in range(command.shape[1]):
+            out[n, i] = out[n - 1, i] + min(max(command[n, i] - out[n - 1, i], -most), most)
+    return out
 
 
 def missed_steps(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a motor that slips by four full steps, six times in every run, at unknown times."""
     slip = 4.0 / real.machine["steps"]["full_steps_per_mm"] * (1.0 if size > 0 else 0.0)
-    return {}, real.ordered(slipped(rng, slip, kind.motors))
+    motor, shares = int(rng.integers(kind.motors)), np.sort(rng.uniform(0.1, 0.9, 6))
+    steps = slip * rng.choice([-1.0, 1.0], 6)
+
+    def slipping(t: FloatArray, command: FloatArray) -> FloatArray:
+        out = command.copy()
+        for share, step in zip(shares, steps, strict=True):
+            x = np.clip((t - share * t[-1]) / SLIP_S, 0.0, 1.0)
+            out[:, motor] += step * x**2 * (3 - 2 * x)
+        return out
+
+    return {}, real.ordered(slipping)
 
 
 def swinging_cable(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a bundle of cables and filament that hangs on the moving part, and swings by itself."""
-    mass, omega = size * rng.uniform(*kind.cable) * kind.loads(real).mean(), 2 * np.pi * rng.uniform(6.0, 16.0)
+    mass, omega = size * kind.draw(rng, "cable") * kind.loads(real).mean(), 2 * np.pi * rng.uniform(6.0, 16.0)
     ratio = rng.uniform(0.05, 0.15)
     kept = mass if size > 0 else 1.0
     return {}, real.having(cable_mass=kept, cable_k=mass * omega**2, cable_b=2 * ratio * omega * mass)
@@ -258,12 +331,19 @@ def swinging_cable(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tabl
 
 def fans_tone(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a fan that starts with every run shakes all sensors at its own frequency."""
-    return {}, real.read_by(hummed(rng, size * rng.uniform(*kind.fan, 6) * kind.felt))
+    level = size * kind.draw(rng, "fan", 6) * kind.felt
+    hertz, phase = rng.uniform(44.0, 110.0), rng.uniform(0, 2 * np.pi, 6)
+
+    def read(r: Reading) -> Reading:
+        tone = level * np.sin(2 * np.pi * hertz * r.t[:, None] + phase)
+        return replace(r, carriage=r.carriage + tone[:, :3], nozzle=r.nozzle + tone[:, 3:])
+
+    return {}, real.read_by(read)
 
 
 def notched_wheel(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide wheels out of round: a force by the carriage's position, whichever way it goes."""
-    notch = size * rng.uniform(*kind.notch, kind.motors) * kind.loads(real)
+    notch = size * kind.draw(rng, "notch", kind.motors) * kind.loads(real)
     return {}, real.having(notch=notch, notch_wave=2 * np.pi / rng.uniform(2e-3, 6e-3))
 
 
@@ -304,38 +384,19 @@ def sluggish_sensor(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables
 
 def clipping_sensor(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide an accelerometer of the nozzle that clips at some m/s², well below the loudest that it feels."""
-    return {}, real.read_by(clipped_at(rng.uniform(5.0, 9.0), size))
+    most = rng.uniform(5.0, 9.0) if size > 0 else np.inf
+    return {}, real.read_by(lambda r: replace(r, nozzle=np.clip(r.nozzle, -most, most)))
 
 
-SHARED: Mapping[str, Drawing] = by_name(
-    coulomb_friction,
-    stribeck_friction,
-    guide_damping,
-    belt_stiffness,
-    belt_hardening,
-    belt_position_stiffness,
-    belt_backlash,
-    command_delay,
-    cogging,
-    torque_angle,
-    frame_mode,
-    sensor_gain,
-    sensor_misalignment,
-    sensor_time_offset,
-    sensor_clock_drift,
-)
-OUTSIDE: Mapping[str, Drawing] = by_name(
-    off_centre_pulley,
-    warming_belt,
-    slow_driver,
-    missed_steps,
-    swinging_cable,
-    fans_tone,
-    notched_wheel,
-    soft_bracket,
-    creeping_belt,
-    heavy_rotor,
-    one_sided_belt,
-    sluggish_sensor,
-    clipping_sensor,
-)
+def _those(names: str) -> dict[str, Drawing]:
+    return {name: globals()[name] for name in names.split()}
+
+
+SHARED: Mapping[str, Drawing] = _those("""
+    coulomb_friction stribeck_friction guide_damping belt_stiffness belt_hardening belt_position_stiffness belt_backlash
+    command_delay cogging torque_angle frame_mode sensor_gain sensor_misalignment sensor_time_offset sensor_clock_drift
+""")
+OUTSIDE: Mapping[str, Drawing] = _those("""
+    off_centre_pulley warming_belt slow_driver missed_steps swinging_cable fans_tone notched_wheel soft_bracket
+    creeping_belt heavy_rotor one_sided_belt sluggish_sensor clipping_sensor
+""")

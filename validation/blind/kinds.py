@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from validation.blind import axis, delta, servo, straight
+from validation.blind import delta, servo, straight
 from validation.blind.motions import KINDS as MOTIONS
 from validation.blind.motions import Motion, Path, Place
 from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables
@@ -126,9 +126,12 @@ _DELTA = _kind(
     unknown=dict(zip(delta.DAMPERS, (3, 4), strict=True)),
 )
 _AXIS = _kind(
-    axis,
-    effects=axis.EFFECTS,
-    outside=axis.OUTSIDE,
+    straight,
+    draw=straight.draw_axis,
+    file_of=straight.file_of_axis,
+    restated=straight.restated_axis,
+    effects=straight.EFFECTS_OF_AXIS,
+    outside=straight.OUTSIDE_OF_AXIS,
     sensors="axis",
     axes="q",
     moving=(1.0, 0.0, 0.0),

@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import tomlkit
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
@@ -19,7 +18,6 @@ Rng: TypeAlias = np.random.Generator
 Tables: TypeAlias = dict[str, Any]  # of a machine file
 Labels: TypeAlias = dict[str, dict[str, Any]]  # effect -> its table in a machine file
 Range: TypeAlias = tuple[float, float]  # drawn evenly between
-SLIP_S = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,50 +87,6 @@ class Real:
 Hide: TypeAlias = Callable[[Rng, float, Real], tuple[Tables, Real]]
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """How large the effects of one kind of printer are. Forces are drawn as numbers times `loads`, one a motor."""
-
-    motors: int
-    loads: Callable[[Real], FloatArray]  # (motors,), what a force of one is on each motor, N
-    forces: Callable[..., Tables]  # of a printer and arrays (motors,) by key: a file's table of forces
-    springs: Callable[[Real], FloatArray]  # (motors,) N/m
-    stiffened: Callable[[Real, FloatArray], Real]  # by these shares, (motors,)
-    of_belts: Callable[..., Tables]  # as `forces`, of the belts
-    stretch_m: Callable[[Real], Range]  # at which a belt that hardens is half as stiff again
-    uneven: Range  # where motors differ, each is so many times the middle
-    friction: Range
-    stiction: Range
-    grease: Range
-    slope_per_m: Range
-    centre_mm: Range
-    play_mm: Range
-    stepper_mm: Range
-    ripple_mm: Range
-    frame_kg: Range
-    frame_hz: Range
-    # outside the catalogue
-    pulley_m: Range
-    pulley_share: Range
-    warm_share: Range
-    warm_s: Range
-    cable: Range  # kg, or a share of what `loads` has
-    fan: Range
-    felt: tuple[float, ...]  # (6,): 1 where a sensor of carriages or nozzle is
-    notch: Range
-    softens: float = 0.0  # share of the belts that harden which soften
-    bends: bool = True  # whether dry friction may bend before it slides
-
-    def each(self, rng: Rng, value: float) -> FloatArray:
-        """Draw the same for every motor, or as often as not different ones: (motors,)."""
-        uneven = rng.uniform(*self.uneven, self.motors)
-        return value * (uneven if rng.random() < 0.35 else np.ones(self.motors))
-
-    def some(self, rng: Rng) -> FloatArray:
-        """Draw one motor, or all: (motors,), ones and zeros."""
-        return np.eye(self.motors)[rng.integers(self.motors)] if rng.random() < 0.5 else np.ones(self.motors)
-
-
 def told(values: FloatArray) -> Any:
     """Return values as a machine file has them: one number if all are equal, else a list of three."""
     lacking = [0.0] * (3 - len(values))
@@ -174,54 +128,13 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str) else float(f"{value:.6g}")
 
 
-# ---- orders and readings that are spoiled ----------------------------------------------------------
-
-
-def behind(fastest_mm_per_s: float) -> Order:
-    """Return orders that a driver follows by at most so much a second."""
-    return lambda t, command: _behind(np.ascontiguousarray(command), fastest_mm_per_s * (t[1] - t[0]))
-
-
-@njit(cache=True)
-def _behind(command: FloatArray, most: float) -> FloatArray:
-    """Follow (n, motors) by at most so much a row."""
-    out = command.copy()
-    for n in range(1, len(command)):
-        for i in range(command.shape[1]):
-            out[n, i] = out[n - 1, i] + min(max(command[n, i] - out[n - 1, i], -most), most)
-    return out
-
-
-def slipped(rng: Rng, slip_mm: float, motors: int) -> Order:
-    """Return orders with six slips of one motor, anywhere in a run."""
-    motor, shares = int(rng.integers(motors)), np.sort(rng.uniform(0.1, 0.9, 6))
-    steps = slip_mm * rng.choice([-1.0, 1.0], 6)
-
-    def slipping(t: FloatArray, command: FloatArray) -> FloatArray:
-        out = command.copy()
-        for share, step in zip(shares, steps, strict=True):
-            x = np.clip((t - share * t[-1]) / SLIP_S, 0.0, 1.0)
-            out[:, motor] += step * x**2 * (3 - 2 * x)
-        return out
-
-    return slipping
+# ---- readings that are spoiled ----------------------------------------------------------
 
 
 def read_at(r: Reading, times: FloatArray) -> Reading:
     """Return what accelerometers read at other times; encoders keep the command's clock."""
     at = np.clip(times, r.t[0], r.t[-1])
     return replace(r, carriage=CubicSpline(r.t, r.carriage)(at), nozzle=CubicSpline(r.t, r.nozzle)(at))
-
-
-def hummed(rng: Rng, level: FloatArray) -> Reader:
-    """Return readings with a tone of 44 to 110 Hz, (6,) m/s² on carriages and nozzle."""
-    hertz, phase = rng.uniform(44.0, 110.0), rng.uniform(0, 2 * np.pi, 6)
-
-    def read(r: Reading) -> Reading:
-        tone = level * np.sin(2 * np.pi * hertz * r.t[:, None] + phase)
-        return replace(r, carriage=r.carriage + tone[:, :3], nozzle=r.nozzle + tone[:, 3:])
-
-    return read
 
 
 def slowed(cutoff_hz: float, size: float) -> Reader:
@@ -232,8 +145,3 @@ def slowed(cutoff_hz: float, size: float) -> Reader:
         return replace(r, nozzle=sosfilt(sections, r.nozzle, axis=0)) if size > 0 else r
 
     return read
-
-
-def clipped_at(most_m_per_s2: float, size: float) -> Reader:
-    """Return readings whose nozzle ends at so much."""
-    return lambda r: replace(r, nozzle=np.clip(r.nozzle, -most_m_per_s2, most_m_per_s2)) if size > 0 else r

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from validation.blind import effects
-from validation.blind.axis import AXIS, OF_PRINTERS, SHARED, restated, written
 from validation.blind.effects import by_name, of_kind
 from validation.blind.motions import Motion, points
 from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, sign
-from validation.blind.straight import loose_load, masses
+from validation.blind.straight import AXIS, OF_PRINTERS, SHARED_BY_AXES, loose_load, masses, written
+from validation.blind.straight import restated_axis as restated
 from validation.plants.forced_axis import axis_of, follow, pushed, servo_of
 
 STEP_S, KEPT_EVERY = 1 / 12800, 2
@@ -222,21 +222,13 @@ def turning_columns(machine: Tables, measured: Mapping[str, FloatArray]) -> dict
 LOUD_M_PER_S2 = 4.0  # under which a coupling that hardens has its usual stretch
 
 
-def _stretches(real: Real) -> tuple[float, float]:
-    """Return the usual stretches of a coupling, m."""
+def _stretched(real: Real) -> float:
+    """Return the usual stretch of a coupling, m."""
     plant = real.machine["plant"]
-    usual = LOUD_M_PER_S2 * (float(plant["tool"][0] / max(plant["belt_k"][0], 1e-9)) or 1.0)
-    return 0.6 * usual, 1.5 * usual
+    return LOUD_M_PER_S2 * (float(plant["tool"][0] / max(plant["belt_k"][0], 1e-9)) or 1.0)
 
 
-FORCED = replace(
-    AXIS,
-    friction=(0.3, 1.5),
-    stiction=(0.4, 1.5),
-    grease=(2.0, 8.0),
-    play_mm=(0.04, 0.12),
-    stretch_m=_stretches,
-)
+FORCED = replace(AXIS, column=2, stretched=_stretched)
 
 
 def friction_by_direction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -275,7 +267,7 @@ def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
 
 
 EFFECTS: Mapping[str, Hide] = {
-    **of_kind(SHARED, FORCED, f"{OF_PRINTERS} cogging"),
+    **of_kind(SHARED_BY_AXES, FORCED, f"{OF_PRINTERS} cogging"),
     **by_name(command_delay, friction_by_direction, quadratic_drag, ground_spring, cogging_force),
 }
 

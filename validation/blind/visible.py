@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from validation.blind.real import FloatArray, Reading, read_at
+from validation.blind.real import FloatArray, Reading
 from validation.blind.sensors import Sensors
 
 BAND_HZ = (1.0, 200.0)
@@ -64,7 +64,7 @@ def whitened(
 
 
 def retuning(
-    plain: Callable[[], list[Reading]],
+    plain: Sequence[Reading],
     probed: Sequence[Callable[[], list[Reading]]],
     sensors: Sensors,
     repeats: Sequence[int],
@@ -72,7 +72,7 @@ def retuning(
     spreads: Sequence[float],
 ) -> FloatArray:
     """N : (rows, numbers), the answers of the plain printer to one standard deviation of each number."""
-    base = whitened(sensors, plain(), repeats, counts)
+    base = whitened(sensors, plain, repeats, counts)
     answers = [(whitened(sensors, each(), repeats, counts) - base) / PROBE for each in probed]
     return np.column_stack(answers) * spreads
 
@@ -98,7 +98,7 @@ def visibility_by_refit(
 
     Parameters
     ----------
-    moved : the whitened data where the numbers of the file are off by so many standard deviations, (numbers,).
+    moved : the whitened data where the numbers, and the delays, are off by so many standard deviations, (numbers,).
     """
     first = found = visibility(true - without, n)
     z, base = np.zeros(n.shape[1]), without
@@ -112,26 +112,3 @@ def visibility_by_refit(
         left = float((true - base) @ (true - base) + z @ z)
         found = replace(found, left=min(found.left, left))
     return found
-
-
-def visibility_by_other_clocks(
-    true: FloatArray,
-    without: Sequence[Reading],
-    n: FloatArray,
-    sd_s: float,
-    told: Callable[[Sequence[Reading]], FloatArray],
-) -> Visibility:
-    """Of what differs from `without`, where each motion's accelerometers may be late by a standard deviation of `sd_s`.
-
-    Gauss-Newton in the delays, because 0.5 ms is not small for motions of 100 Hz. `told` : whitens.
-    """
-    plain, late = told(without), np.zeros(len(without))
-    for _ in range(4):
-        moved = [read_at(r, r.t - sd_s * z) for r, z in zip(without, late, strict=True)]
-        base, columns = told(moved), []
-        for i, r in enumerate(moved):
-            probed = [*moved[:i], read_at(r, r.t - PROBE * sd_s), *moved[i + 1 :]]
-            columns.append((told(probed) - base) / PROBE)
-        all_n, difference = np.column_stack([n, *columns]), true - base + np.column_stack(columns) @ late
-        late = refitted(difference, all_n)[n.shape[1] :]
-    return replace(visibility(difference, all_n), raw=visibility(true - plain, n).raw)
