@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, Option
 from gcode.dialect import DIALECTS
 
 Offset = tuple[float, float]
+if TYPE_CHECKING:
+    Files = Sequence[str | Path] | str | Path
+else:  # as the command line reads them
+    Files = tuple[Path, ...]
 FIGURES = ("", ".png", ".svg", ".pdf")
 FLAVORS = tuple(DIALECTS)
 

@@ -24,6 +24,7 @@ import types
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from math import isinf
+from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 from typing import (
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
     from models.machine import Machine
 
     MachineLike = str | Path | Machine
-else:
-    MachineLike = str | Path
+else:  # as the command line reads them
+    MachineLike = str | Path | object
 
 P = ParamSpec("P")
 Q = TypeVar("Q")
@@ -166,6 +167,11 @@ class Declared:
         """Whether it may be stated more than once."""
         if self.option.parse is not None:
             return self.option.repeated
+        return self.holds_several
+
+    @property
+    def holds_several(self) -> bool:
+        """Whether its value is a tuple of any length."""
         return get_origin(self.plain_type) is tuple and get_args(self.plain_type)[-1] is Ellipsis
 
     @property
@@ -218,24 +224,20 @@ class Declared:
         Raises
         ------
         RequestError
-            If there are too many, too few or none, or a text is no number.
+            If there are none, or a text is no number.
         """
         plain, single = self.plain_type, isinstance(value, str | PathLike) or not hasattr(value, "__len__")
         if isinstance(value, str) and plain in (int, float):
             return self.read(value)
-        if self.option.parse is None and self.many:
-            if value is None and not self.required:
+        if self.holds_several:
+            if value is None:
                 return None
-            values = () if value is None else (value,) if single else tuple(value)
+            values = (value,) if single else tuple(value)
             if self.required and not values:
                 raise RequestError(f"There are no {self.field}: name at least one file.")
             return tuple(map(self._path, values))
-        if get_origin(plain) is tuple and set(get_args(plain)) == {float} and not single:
-            if len(value) != len(get_args(plain)):
-                raise RequestError(f"{self.names[0]}: it is {len(get_args(plain))} numbers, not {value!r}.")
+        if set(get_args(plain)) == {float} and not single and all(isinstance(each, Real) for each in value):
             return tuple(map(float, value))
-        if plain in (str, Path) and not single:
-            raise RequestError(f"{self.field} is one {'file' if self.option.positional else 'value'}, not {value!r}.")
         return self._path(value)
 
     def _path(self, value: Any) -> Any:
@@ -244,8 +246,9 @@ class Declared:
     @property
     def python_type(self) -> Any:
         """What the field takes in Python."""
-        if self.many and self.option.parse is None:
-            item = str | Path if self.item_type is Path else self.item_type
+        if self.holds_several:
+            (item, _) = get_args(self.plain_type)
+            item = str | Path if item is Path else item
             return item | Sequence[item]  # type: ignore[valid-type]
         return self.type | str if self.plain_type is Path else self.type
 
@@ -270,8 +273,13 @@ class Request:
             value = each.accept(getattr(self, each.field))
             object.__setattr__(self, each.field, value)
             array = hasattr(value, "shape")  # it is compared number by number, and has no range here
-            if value is not None and not array and value != each.default:
-                each.check(value)
+            if not array and value != each.default:
+                if not _fits(value, each.type):
+                    raise RequestError(f"{each.field} = {_short(value)}: it must be {_plain(each.python_type)}.")
+                if value is not None:
+                    each.check(value)
+        if not callable(progress := getattr(self, "progress", silent)):
+            raise RequestError(f"progress = {_short(progress)}: it must be a function.")
         self.check()
 
     def check(self) -> None:
@@ -292,6 +300,22 @@ def _declared(request: Any, types_: dict[str, Any] | None = None) -> Iterator[De
                 yield Declared(field.name, get_args(hints[field.name])[0], field.default, option)
 
 
+ABSTRACT: dict[Any, Any] = {int: Integral, float: Real, Path: (str, PathLike)}
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Return whether a value is of a type; the items of mappings and sequences are not looked at."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, each) for each in parts)
+    if origin is Literal:
+        return True  # `Declared.check` compares it with the choices
+    if origin is tuple and isinstance(value, tuple):
+        items = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
+        return len(value) == len(items) and all(map(_fits, value, items))
+    return isinstance(value, origin or ABSTRACT.get(hint, hint))
+
+
 def shared_with(request: Request, cls: type[Any], **others: Any) -> dict[str, Any]:
     """Return the fields of another class that a request has by the same name; what is None keeps its default there."""
     values = {each.name: getattr(request, each.name, None) for each in fields(cls)} | others
@@ -299,38 +323,6 @@ def shared_with(request: Request, cls: type[Any], **others: Any) -> dict[str, An
 
 
 FORCE = Option("Overwrite files that exist.", OUTPUT)
-
-
-def check_targets(requests: Sequence[Request]) -> None:
-    """Raise RequestError, before the work, for targets that cannot be written or must not be.
-
-    A target lies in a folder that exists, is no file that is read, and no other target. Where a verb has --force,
-    nothing that exists is overwritten without it.
-    """
-    stated = [(each, getattr(request, each.field)) for request in requests for each in declared(type(request))]
-    read = {path.resolve() for each, value in stated if not each.option.writes for path in _paths_in(each, value)}
-    force = next((value for each, value in stated if each.option is FORCE), True)
-    written = set[Path]()
-    for each, value in stated:
-        for path in _paths_in(each, value) if each.option.writes else ():
-            name, folder = each.names[0], each.option.writes == "folder"
-            if folder and path.exists() and not path.is_dir():
-                raise RequestError(f"{path}: {name} names a folder.")
-            if not folder and (path.is_dir() or not path.resolve().parent.is_dir()):
-                raise RequestError(f"{path}: {name} names a file in a folder that exists.")
-            if path.resolve() in read:
-                raise RequestError(f"{path} is read as well; give another {name}.")
-            if path.resolve() in written:
-                raise RequestError(f"{path} is named twice; give another {name}.")
-            if path.exists() and not folder and not force:
-                raise RequestError(f"{path} exists already; give another {name}, or --force.")
-            written.add(path.resolve())
-
-
-def _paths_in(option: Declared, value: Any) -> list[Path]:
-    values = value if isinstance(value, tuple) else (value,)
-    kinds = (str, Path) if option.option.positional or option.option.writes else Path
-    return [Path(each) for each in values if isinstance(each, kinds)]
 
 
 class _Silent:
@@ -355,7 +347,7 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     """
     from models.machine import Machine
 
-    machine = dict.fromkeys(("MachineLike", "MachineOrFile"), str | Path | Machine)
+    machine = {"MachineLike": str | Path | Machine}
     hints, signature = get_type_hints(request, localns=machine), inspect.signature(request)
     hints |= {each.field: each.python_type for each in _declared(request, machine)}
     returned = get_type_hints(work)["return"]

@@ -142,13 +142,9 @@ class Result:
         """Write the answer and its figures as one HTML page that opens offline."""
         replace_atomically(Path(path), [named(self.page_by)(self).html(self.answer)])
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of the JSON object that are this verb's own, `schema` first."""
-        return {"schema": self.schema, **json_object(self)}
-
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `--json` prints."""
-        return {**self.details(), "answer": to_json(self.answer)}
+        return {"schema": self.schema, **json_object(self), "answer": to_json(self.answer)}
 
     def objects(self) -> Sequence[dict[str, Any]]:
         """Return the JSON objects that `--json` prints, one a line."""

@@ -27,6 +27,7 @@ LIBRARY = "kernels_ahead"  # in this folder: the code, and `LIBRARY.json` with t
 VARIABLE = "FFCOMP_JIT"  # not empty: do not use the library
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
+BEFORE_COMPILING: list[Callable[[], None]] = []  # called, once, before this process compiles
 Kind = Any  # hashable: the type of an argument, as far as the compiled code depends on it
 
 
@@ -140,7 +141,7 @@ class Kernel(ByNumba):
 def _by_numba(function: Callable[..., Any], options: dict[str, Any], sources: str | None) -> Any:
     from models.jit import jit  # slow to import
 
-    return jit(function, options, sources)
+    return jit(function, options, sources, BEFORE_COMPILING)
 
 
 def _name(function: Callable[..., Any]) -> str:

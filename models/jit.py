@@ -21,9 +21,9 @@ class KernelCache(_Cache):
     Before it loads compiled code, numba fills its function tables (0.2 s). Only compiling needs them.
     """
 
-    def __init__(self, function: Callable[..., Any], sources: str = "") -> None:
+    def __init__(self, function: Callable[..., Any], sources: str, waiting: list[Callable[[], None]]) -> None:
         """Cache a function's code until its file changes, or `sources` does if there are any."""
-        self._function, self._sources = function, sources
+        self._function, self._sources, self._waiting = function, sources, waiting
 
     @cached_property
     def files(self) -> FunctionCache:
@@ -44,6 +44,8 @@ class KernelCache(_Cache):
         with self.files._guard_against_spurious_io_errors():
             if loaded := self.files._load_overload(sig, target_context):
                 return loaded
+        while self._waiting:
+            self._waiting.pop()()
         return self.files.load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -63,17 +65,18 @@ class KernelCache(_Cache):
         self.files.flush()
 
 
-def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | None) -> Any:
+def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | None, waiting: list[Any]) -> Any:
     """Return the function as numba compiles it.
 
     Parameters
     ----------
     options : of `numba.njit`
     sources : keep the code on disk until this changes; empty: until the function's file changes; None: do not keep it
+    waiting : functions that are called, once, before numba compiles
     """
     compiled: Any = njit(**options)(function)
     if sources is not None and hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
-        compiled._cache = KernelCache(function, sources)
+        compiled._cache = KernelCache(function, sources, waiting)
     return compiled
 
 

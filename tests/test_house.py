@@ -58,4 +58,4 @@ def test_every_package_has_a_test_in_each_quick_run() -> None:
     packages = [path.parent.name for path in (ROOT / "ffcomp").glob("*/__init__.py")]
     assert len(packages) > 15
     without = [name for name in packages if not any(f"from ffcomp.{name}" in text for text in quick)]
-    assert without == ["api"]  # its names are those of ffcomp: test_names.py
+    assert without == ["api"]  # its names are those of ffcomp: test_public.py

@@ -14,7 +14,7 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 from cyclopts import App  # noqa: E402
 
 from ffcomp.cli.command import group, run  # noqa: E402
-from ffcomp.cli.compiled import collect_rarely  # noqa: E402
+from ffcomp.cli.common import collect_rarely  # noqa: E402
 from ffcomp.cli.log import log_path, logged  # noqa: E402
 from ffcomp.version import __version__  # noqa: E402
 

@@ -6,20 +6,22 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
 
 from ffcomp.cli.common import answer, exit_codes, machine_errors, quiet, report, require, say
-from ffcomp.cli.compiled import VERBS, first_run, note_compiled, sentence
 from ffcomp.cli.progress import Event
-from ffcomp.request import GROUPS, OUTPUT, Declared, Option, Request, check_targets, declared
+from ffcomp.errors import RequestError
+from ffcomp.request import FORCE, GROUPS, OUTPUT, Declared, Option, Request, declared
 from ffcomp.result import Result
 
+COMPILING = "Compiling once, up to a minute; later runs reuse the result"
 HELP_FLAGS = ("--help", "-h")
 ARGUMENTS = Group("Arguments", sort_key=0)
 OPTIONS = {name: Group(name, sort_key=1 + number) for number, name in enumerate(GROUPS)}
@@ -58,13 +60,16 @@ def verb(work: Callable[..., Result | None]) -> App:
     signature = inspect.Signature([_parameter(each) for each in sorted(options, key=_kind)])
 
     def call(*args: Any, **kwargs: Any) -> None:
+        from models.compiled import BEFORE_COMPILING
+
         with exit_codes():
             values = signature.bind(*args, **kwargs).arguments
             made = [_made(request, values) for request in requests]
             check_targets([*made, *(_made(each, values) for each in shown)])
             if any(values.get(option) for option in ("figure", "report")):
                 require("matplotlib")
-            with quiet(bool(values.get("quiet"))), compiling(name), machine_errors(bool(values.get("as_json"))):
+            with quiet(bool(values.get("quiet"))), machine_errors(bool(values.get("as_json"))):
+                BEFORE_COMPILING[:] = [partial(copy_context().run, _say_compiling)]  # in threads as well, it is quiet
                 result = work(*made)
             if result is not None:
                 for option, write in (("figure", result.write_figure), ("report", result.write_report)):
@@ -79,16 +84,9 @@ def verb(work: Callable[..., Result | None]) -> App:
     return app
 
 
-@contextmanager
-def compiling(name: str) -> Iterator[None]:
-    """Say that a verb is about to compile, where it is, and remember that it has."""
-    compiles = name in VERBS and first_run(name)
-    if compiles:
-        report(f"ffcomp: {sentence(name)}")
-        Event(sentence(name).removesuffix(".")).write()
-    yield
-    if compiles:
-        note_compiled(name)
+def _say_compiling() -> None:
+    report(f"ffcomp: {COMPILING}.")
+    Event(COMPILING).write()
 
 
 SETTINGS: dict[str, Any] = {
@@ -101,6 +99,38 @@ SETTINGS: dict[str, Any] = {
     "group_commands": Group("Verbs", sort_key=0),
     "default_parameter": Parameter(negative_iterable=(), allow_repeating=True),
 }
+
+
+def check_targets(requests: Sequence[Request]) -> None:
+    """Raise RequestError, before the work, for targets that cannot be written or must not be.
+
+    A target lies in a folder that exists, is no file that is read, and no other target. Where a verb has --force,
+    nothing that exists is overwritten without it.
+    """
+    stated = [(each, getattr(request, each.field)) for request in requests for each in declared(type(request))]
+    read = {path.resolve() for each, value in stated if not each.option.writes for path in _paths_in(each, value)}
+    force = next((value for each, value in stated if each.option is FORCE), True)
+    written = set[Path]()
+    for each, value in stated:
+        for path in _paths_in(each, value) if each.option.writes else ():
+            name, folder = each.names[0], each.option.writes == "folder"
+            if folder and path.exists() and not path.is_dir():
+                raise RequestError(f"{path}: {name} names a folder.")
+            if not folder and (path.is_dir() or not path.resolve().parent.is_dir()):
+                raise RequestError(f"{path}: {name} names a file in a folder that exists.")
+            if path.resolve() in read:
+                raise RequestError(f"{path} is read as well; give another {name}.")
+            if path.resolve() in written:
+                raise RequestError(f"{path} is named twice; give another {name}.")
+            if path.exists() and not folder and not force:
+                raise RequestError(f"{path} exists already; give another {name}, or --force.")
+            written.add(path.resolve())
+
+
+def _paths_in(option: Declared, value: Any) -> list[Path]:
+    values = value if isinstance(value, tuple) else (value,)
+    kinds = (str, Path) if option.option.positional or option.option.writes else Path
+    return [Path(each) for each in values if isinstance(each, kinds)]
 
 
 def _made(request: type[Request], values: dict[str, Any]) -> Request:

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import say
-from ffcomp.cli.compiled import WARMED, collect_rarely, note_compiled
+from ffcomp.cli.common import collect_rarely, say
 from ffcomp.cli.progress import Event
 
 PRINT = """\
@@ -62,8 +61,6 @@ def warmup() -> None:
             Event(f"compiling once: {name}", (number - 1) / len(steps)).write()
             step()
             say(f"[{number}/{len(steps)}] {name}: {time.perf_counter() - since:.1f} s")
-        for name in WARMED:
-            note_compiled(name)
         print(f"Ready after {time.perf_counter() - begin:.0f} s.")
 
 

@@ -35,17 +35,14 @@ from ffcomp.request import (
 )
 
 Kind = Literal["gcode", "steps", "klipper-steps", "host"]
-MachineToPrintOn = Annotated[
-    MachineLike,
-    Option(
-        "Machine: a name (see: ffcomp machines list) or the path of its file.",
-        MACHINE,
-        "--machine",
-        "-m",
-        metavar="NAME",
-        env="FFCOMP_MACHINE",
-    ),
-]
+MACHINE_TO_PRINT_ON = Option(
+    "Machine: a name (see: ffcomp machines list) or the path of its file.",
+    MACHINE,
+    "--machine",
+    "-m",
+    metavar="NAME",
+    env="FFCOMP_MACHINE",
+)
 
 
 def parse_errors(texts: Sequence[str]) -> float | dict[str, float]:
@@ -187,7 +184,7 @@ class CompensateRequest(CompensateOptions):
     """A print to be compensated."""
 
     file: Annotated[str | Path, Argument("Sliced print: G-code, also in .gz, .gcode.3mf or .bgcode.", metavar="FILE")]
-    machine: MachineToPrintOn
+    machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
     output: Annotated[
         str | Path | None, Option("File to write, which may be the print itself; None: nothing is written.", OUTPUT)
     ] = None
@@ -205,7 +202,7 @@ class CompensateFilesRequest(CompensateOptions):
             metavar="FILE...",
         ),
     ]
-    machine: MachineToPrintOn
+    machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
     output: Annotated[
         Path | None,
         Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE"),

@@ -12,6 +12,7 @@ from ffcomp.diagnosis.problem import Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
 from ffcomp.diagnosis.where import ResidualBreakdown, locate_residual
+from ffcomp.errors import RequestError
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.axes import turn_of
 from ffcomp.result import Fact, Result
@@ -90,9 +91,11 @@ def gap_request(request: GapRequest) -> Discrepancy:
     >>> ffcomp.gap(["run-1.csv", "run-2.csv"], "mp-delta-pro").headline
     """
     plant = plant_of(request.machine)
-    given = cast("tuple[Path | Recorded, ...]", request.recordings)
-    recordings = [each for each in given if not isinstance(each, Path)]
+    given = cast("tuple[object, ...]", request.recordings)
+    recordings = [each for each in given if isinstance(each, Recorded)]
     files = [each for each in given if isinstance(each, Path)]
+    if len(recordings) + len(files) < len(given):
+        raise RequestError("recordings: each must be the path of a file, or a recording that has been read.")
     if files:
         recordings += recordings_of(plant, files, request.plan, turn_of(request.axes_map), request.progress)
     return measure_gap(plant, recordings)

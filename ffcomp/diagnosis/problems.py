@@ -29,7 +29,7 @@ SAME_COMMAND_MM = 0.01  # a microstep or less: what two repeats may differ by
 
 def plant_of(machine: str | Path | Machine) -> Machine:
     """Load a printer or one axis by itself, unless it is loaded already."""
-    return load_plant(str(machine)) if isinstance(machine, str | Path) else machine
+    return machine if isinstance(machine, Machine) else load_plant(str(machine))
 
 
 def recordings_of(

@@ -8,19 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
-from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS
-from ffcomp.request import ACCURACY, OUTPUT, Option, Request, silent
+from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS, Files
+from ffcomp.request import ACCURACY, OUTPUT, MachineLike, Option, Request, silent
 
 if TYPE_CHECKING:
     from ffcomp.diagnosis.problems import Recorded
-    from models.machine import Machine
 
-    Files = Sequence[str | Path] | str | Path
     FilesOrRecordings = Files | Sequence[Recorded]
-    MachineOrFile = str | Path | Machine
-else:  # as the command line reads them
-    Files = FilesOrRecordings = tuple[Path, ...]
-    MachineOrFile = str
+else:
+    FilesOrRecordings = Files | tuple[object, ...]
 
 
 @dataclass(frozen=True)
@@ -28,7 +24,7 @@ class GapRequest(Request):
     """Recordings, and the machine file whose simulation is compared with them."""
 
     recordings: Annotated[FilesOrRecordings, RUNS]
-    machine: Annotated[MachineOrFile, MACHINE_NAME]
+    machine: Annotated[MachineLike, MACHINE_NAME]
     plan: Annotated[Path | None, MOVES_PLAN] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     progress: Callable[[str], None] = silent
@@ -39,7 +35,7 @@ class DiagnoseRequest(Request):
     """Recordings, and the machine file that may lack an effect."""
 
     recordings: Annotated[Files, RUNS]
-    machine: Annotated[MachineOrFile, MACHINE_NAME]
+    machine: Annotated[MachineLike, MACHINE_NAME]
     output: Annotated[
         Path | None,
         Option(

@@ -39,7 +39,7 @@ from ffcomp.identification.page.fit import SCALE
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.measurement.recording import Recording
-from ffcomp.numerics.serialise import keys
+from ffcomp.numerics.serialise import json_object, keys
 from ffcomp.numerics.stages import Progress, Stage
 from ffcomp.record.axes import turn_of
 from ffcomp.record.join import load_recordings
@@ -174,7 +174,7 @@ def update_files(request: UpdateRequest, progress: Progress = lambda _: None) ->
     updated = replace(updated, output=request.output, history=request.history_file)
     text = updated.file_text(request.output)
     check_text(text, str(request.output))
-    line = json.dumps(updated.details(), ensure_ascii=False)
+    line = json.dumps({"schema": updated.schema, **json_object(updated)}, ensure_ascii=False)
     earlier = request.history_file.read_bytes() if request.history_file.exists() else b""
     with replacing(request.output) as file:  # which is there when the history is, or neither
         file.write(text.encode())

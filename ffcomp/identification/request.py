@@ -17,6 +17,7 @@ from ffcomp.options import (
     MACHINE_NAME,
     MOVES_PLAN,
     RUNS,
+    Files,
 )
 from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument, MachineLike, Option, Request, silent
 
@@ -26,10 +27,6 @@ DATA = (
     "raw_data_*.csv."
 )
 NEW_NAME = Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
-if TYPE_CHECKING:
-    Files = Sequence[str | Path] | str | Path
-else:  # as the command line reads them
-    Files = tuple[Path, ...]
 
 
 def known_numbers(texts: Sequence[str]) -> dict[str, tuple[float, float]]:

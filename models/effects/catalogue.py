@@ -32,14 +32,9 @@ def catalogue_of(quantities: Quantities, moves: str) -> Mapping[str, Effect]:
     return {name: effect.on_axis(quantities) if moves in effect.of else effect for name, effect in CATALOGUE.items()}
 
 
-def effects_of(moves: str) -> tuple[str, ...]:
-    """Return the names of the effects of machines with this `VibrationModel.moves`."""
-    return tuple(name for name, effect in CATALOGUE.items() if moves in effect.of)
-
-
-def effects_of_printers() -> tuple[str, ...]:
-    """Return the names of the effects that printers may have."""
-    return tuple(name for name, effect in CATALOGUE.items() if set(effect.of) & {"carriages", "axes"})
+def effects_of(*moves: str) -> tuple[str, ...]:
+    """Return the names of the effects of machines with one of these `VibrationModel.moves`; none: of printers."""
+    return tuple(name for name, effect in CATALOGUE.items() if set(effect.of) & set(moves or ("carriages", "axes")))
 
 
 def key_in_file(effect: str, key: str, quantities: Quantities) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from models.effects.catalogue import CATALOGUE, effective_machine, effects_of_printers, measured, with_effect
+from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, measured, with_effect
 from models.effects.effect import Effect, EffectParameter
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
@@ -503,7 +503,7 @@ def printers(effect: Effect) -> tuple[str, ...]:
 
 def page() -> str:
     """The text of docs/EFFECTS.md."""
-    effects = [CATALOGUE[name] for name in effects_of_printers()]
+    effects = [CATALOGUE[name] for name in effects_of()]
     head = HEAD.format(count=len(effects), machine=MACHINE, height=HEIGHT_MM)
     listed = [f"- [`{e.name}`](#{e.name}): {_small(e.title)}" for e in effects]
     return "\n".join([head, *listed, "", *(_section(e) for e in effects)])
@@ -571,7 +571,7 @@ def main() -> None:
         print(page())
         return
     (DOCS / "effects").mkdir(exist_ok=True)
-    for name in given.names or effects_of_printers():
+    for name in given.names or effects_of():
         draw(CATALOGUE[name], DOCS / "effects" / f"{name}.png")
     PAGE.write_text(page(), encoding="utf-8")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import speed
-from models.effects.catalogue import CATALOGUE, effects_of_printers
+from models.effects.catalogue import CATALOGUE, effects_of
 from scripts.pages import effects
 from scripts.site_pages import SOURCES, indented, with_sources
 from studies import render
@@ -89,7 +89,7 @@ LARGEST_BYTES = 40_000
 
 def test_every_effect_has_its_small_figure_and_no_figure_is_left_over() -> None:
     figures = {path.stem: path for path in (DOCS / "effects").glob("*.png")}
-    assert set(figures) == set(effects_of_printers()) >= set(effects.SHOWN)
+    assert set(figures) == set(effects_of()) >= set(effects.SHOWN)
     assert max(path.stat().st_size for path in figures.values()) < LARGEST_BYTES
 
 

@@ -95,9 +95,7 @@ def test_side_by_side_in_place(prints: list[Path], alone: list[bytes], tmp_path:
     assert [path.read_bytes() for path in prints] == alone
     assert bad.read_bytes() == BAD and names(tmp_path) == before
     rows = [f"{name} {value}" for name, value in answer["answer"]["facts"]]
-    assert [name in row for name, row in zip(("Würfel", "bad", "b.g", "missing", "c.g"), rows, strict=True)] == [
-        True
-    ] * 5
+    assert all(name in row for name, row in zip(("Würfel", "bad", "b.g", "missing", "c.g"), rows, strict=True))
     assert "failed" in rows[1] and str(missing) in first.stderr.splitlines()[-1]
     again = compensate(*prints, "-q")
     assert again.exit_code == 0 and again.stderr == ""

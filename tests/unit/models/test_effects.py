@@ -14,7 +14,7 @@ from models import effects
 from models.effects.catalogue import (
     CATALOGUE,
     effective_machine,
-    effects_of_printers,
+    effects_of,
     measured,
     values_of,
     with_effect,
@@ -51,7 +51,7 @@ def _to_do() -> Iterator[str]:
             yield f"{name}: no table in tests/support/effects.py"
         if name not in blind and effect.kind != "sensor":
             yield f"{name}: not in the blind benchmark (validation/blind)"
-        if name in effects_of_printers() and f"`{name}`" not in page:
+        if name in effects_of() and f"`{name}`" not in page:
             yield f"{name}: not in docs/EFFECTS.md (python -m scripts.pages --write)"
 
 

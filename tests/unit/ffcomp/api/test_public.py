@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import ffcomp
 from ffcomp.errors import RequestError
+from models.errors import MachineFileError
 
 ROOT = Path(__file__).parents[4]
 PRINT = ROOT / "docs" / "examples" / "print.gcode"
@@ -78,15 +81,38 @@ def test_frequency_responses_are_those_of_the_model() -> None:
         (lambda: ffcomp.diagnose([], "mp-delta-pro"), "no recordings"),
         (lambda: ffcomp.gap((), "mp-delta-pro"), "no recordings"),
         (lambda: ffcomp.identify([], "mp-delta-pro"), "no data"),
-        (lambda: ffcomp.compensate([], "mp-delta-pro"), "file is one file"),
+        (lambda: ffcomp.compensate([], "mp-delta-pro"), r"file = \[\]: it must be"),
         (lambda: ffcomp.frf("mp-delta-pro", (0, 0, 0)), r"the shape \(3,\)"),
-        (lambda: ffcomp.frf("mp-delta-pro", 5), r"the shape \(\)"),
+        (lambda: ffcomp.frf("mp-delta-pro", 5), "positions_mm = 5: it must be"),
         (lambda: ffcomp.frf("mp-delta-pro", "middle"), "holds numbers"),
         (lambda: ffcomp.frf("mp-delta-pro", (0, np.nan)), "must be finite"),
         (lambda: ffcomp.frf("mp-delta-pro", frequency_hz=[0.0, 5.0]), "above 0 Hz"),
-        (lambda: ffcomp.estimate(PRINT, "mp-delta-pro", offset_mm=(1.0,)), "it is 2 numbers"),
+        (lambda: ffcomp.estimate(PRINT, "mp-delta-pro", offset_mm=(1.0,)), r"offset_mm = \(1.0,\): it must be"),
+        (lambda: ffcomp.gap([3], "mp-delta-pro"), "a recording that has been read"),
+        (lambda: ffcomp.estimate(PRINT, 3), "3: There is no machine of this name"),
     ],
 )
 def test_what_cannot_be_used_is_a_sentence(call: Callable[[], object], sentence: str) -> None:
-    with pytest.raises(RequestError, match=sentence):
+    with pytest.raises((RequestError, MachineFileError), match=sentence):
         call()
+
+
+@pytest.mark.parametrize("name", [name for name in ffcomp.__all__ if name != "__version__"])
+def test_every_name_is_a_documented_function(name: str) -> None:
+    function = getattr(ffcomp, name)
+    assert inspect.isfunction(function) and name in dir(ffcomp)
+    assert function.__doc__ and "Parameters" in function.__doc__ and "Raises" in function.__doc__
+    described = function.__doc__.split("Parameters")[1]
+    assert all(each in described for each in inspect.signature(function).parameters if each != "progress"), name
+    assert inspect.signature(function).return_annotation not in (None, inspect.Signature.empty)
+
+
+@pytest.mark.parametrize("name", sorted({*ffcomp.__all__} - {"__version__", "load_machine"}))
+def test_every_argument_of_a_wrong_type_is_a_sentence_that_names_it(name: str) -> None:
+    verb: Any = getattr(ffcomp, name)
+    options = inspect.signature(verb).parameters
+    right = {key: "none" for key, each in options.items() if each.default is each.empty}
+    checked_later = {"machine", "plant", "recordings", "positions_mm", "frequency_hz", "settings"}  # by the verb
+    for option in [each for each in options if each not in checked_later]:
+        with pytest.raises(RequestError, match=option if option != "rate_hz" else "rate"):
+            verb(**right | {option: object()})

@@ -13,8 +13,6 @@ from ffcomp.cli.command import commands
 from tests.support.cli import CliRunner
 
 COLUMNS = 80
-
-
 VERBS = {path: (command, options) for path, command, options in commands(app)}
 
 

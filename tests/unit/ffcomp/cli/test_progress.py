@@ -52,9 +52,7 @@ def test_the_time_left_is_said_in_round_numbers(tmp_path: Path, monkeypatch: pyt
     assert time_left(880.0) == "about 15 min left"
 
 
-def test_programs_read_events(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """One in a line of a file; nothing else is printed, and the page says the last one."""
     clock, events = 0.0, tmp_path / "events"
     monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
