@@ -29,7 +29,7 @@ import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, values_at
 from ffcomp.diagnosis.held_out import groups, hold_out
-from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, raised_to_residual, whitener
+from ffcomp.diagnosis.noise import at_least, noise_floor, noise_share, raised_to_residual, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import REACH_SD, Parameter, stem_of
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
@@ -80,9 +80,7 @@ class Updated(Result):
     }
 
     start: Machine
-    before: Mapping[str, Estimate]  # the prior, drift included
-    after: Mapping[str, Estimate]  # of the numbers that the recordings determine
-    beside: Mapping[str, float]  # relative standard deviation of each, the others being given
+    numbers: Mapping[str, UpdatedNumber]  # that the recordings determine
     kept: Sequence[str]  # numbers that they do not determine
     innovation: tuple[float, int, float]  # χ², its degrees of freedom, the probability of more
     held_out: tuple[float, float, float]  # nrms of layers left out: with the starting file, updated; of noise alone
@@ -107,7 +105,8 @@ class Updated(Result):
     def facts(self) -> list[Fact]:
         """Every parameter that moved, and the files."""
         files = (("Machine file", self.output), ("History", self.history))
-        return [*number_facts(self.after), *((name, str(path)) for name, path in files if path is not None)]
+        after = {key: each.after for key, each in self.numbers.items()}
+        return [*number_facts(after), *((name, str(path)) for name, path in files if path is not None)]
 
     @property
     def warnings(self) -> list[str]:
@@ -117,8 +116,8 @@ class Updated(Result):
     def file_text(self, output: Path) -> str:
         """Write the machine file: numbers, how well they are known, and where that is from."""
         machine, uncertainty = self.start, dict[str, float]()
-        for key, sd in self.beside.items():
-            uncertainty[stem_of(key)] = max(uncertainty.get(stem_of(key), 0.0), float(f"{sd:.2g}"))
+        for key, each in self.numbers.items():
+            uncertainty[stem_of(key)] = max(uncertainty.get(stem_of(key), 0.0), float(f"{each.given_others:.2g}"))
         if (
             SCALE in machine.vibration.tunable
         ):  # of all masses, stiffnesses and dampings: motion determines their ratios
@@ -129,15 +128,10 @@ class Updated(Result):
             "numbers": sorted(uncertainty),
             "held_out_nrms_before_after": [float(f"{x:.4g}") for x in self.held_out[:2]],
         }
-        values = {key: float(f"{each.value:.6g}") for key, each in self.after.items()}
+        values = {key: float(f"{each.after.value:.6g}") for key, each in self.numbers.items()}
         source = Path(machine.path)
         name = output.stem if source.resolve().parent == LIBRARY.resolve() else None
         return updated_text(source, values, name=name, uncertainty=uncertainty, provenance={"updated": entry})
-
-    @property
-    def numbers(self) -> dict[str, UpdatedNumber]:
-        """The numbers that the recordings determine."""
-        return {key: UpdatedNumber(self.before[key], each, self.beside[key]) for key, each in self.after.items()}
 
     @property
     def written_sha256(self) -> str:
@@ -242,35 +236,35 @@ def update(
     progress(Stage(2, "seeking where to begin"))
     noise = noise_floor(problem)
     floor = at_least(noise, problem.observations, problem.band_hz, problem.least_density)
-    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
+    estimation = estimation_problem(problem, whiten := whitener(problem.observations, floor, problem.band_hz))
     start = _start(estimation, machine)
     progress(Stage(3, f"fitting {len(problem.parameters)} numbers to {len(recordings)} layers"))
     fitted = fit(estimation, problem.parameters, start, iterations=12)
-    estimation = _reweighted(estimation, floor, fitted)
+    simulated = problem.simulate(fitted.values)
+    errors = [o.measured - y for o, y in zip(problem.observations, simulated, strict=True)]
+    raised = raised_to_residual(floor, problem.observations, errors)
+    estimation = estimation_problem(problem, whitener(problem.observations, raised, problem.band_hz))
     fitted = fit(estimation, problem.parameters, fitted.z, iterations=12)
     progress(Stage(4, "leaving out one layer after the other"))
-    share = noise_share(whitener(problem.observations, floor, problem.band_hz), floor)
+    share = noise_share(whiten, floor)
     held_out = (*_held_out(estimation, fitted), share)
     of_machine = [i for i, n in enumerate(fitted.parameters) if not belongs_to_recording(n.name)]
     innovation = _innovation(fitted, of_machine)
     _refuse(request, machine, held_out, innovation)
-    before, after, beside = _posterior(estimation, fitted, of_machine)
-    if not after:
+    numbers = _posterior(estimation, fitted, of_machine)
+    if not numbers:
         raise NothingToDo("The recordings add nothing to the file: nothing is written.")
-    today = date.today().isoformat()
     return Updated(
         start=machine,
-        before=before,
-        after=after,
-        beside=beside,
-        kept=[name for name in before if name not in after],
+        numbers=numbers,
+        kept=[name for i in of_machine if (name := fitted.parameters[i].name) not in numbers],
         innovation=innovation,
         held_out=held_out,
         layers=len(problem.recordings),
         drift=request.drift,
         prints=request.prints,
         data=data,
-        date=today,
+        date=date.today().isoformat(),
     )
 
 
@@ -323,14 +317,6 @@ def _scaled(parameters: Sequence[Parameter], part: str, factor: float, start: Fl
     return z
 
 
-def _reweighted(estimation: EstimationProblem, floor: NoiseFloor, fitted: Fit) -> EstimationProblem:
-    """Raise the noise to what is left."""
-    problem = estimation.problem
-    errors = [o.measured - y for o, y in zip(problem.observations, problem.simulate(fitted.values), strict=True)]
-    raised = raised_to_residual(floor, problem.observations, errors)
-    return estimation_problem(problem, whitener(problem.observations, raised, problem.band_hz))
-
-
 def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]:
     """Return nrms of the layers left out in turn: with the file, and with what the others say.
 
@@ -355,10 +341,8 @@ def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]
     return before, after
 
 
-def _posterior(
-    estimation: EstimationProblem, fitted: Fit, of_machine: Sequence[int]
-) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, float]]:
-    """Return the numbers before; those the recordings determine; and their relative deviations, the others given."""
+def _posterior(estimation: EstimationProblem, fitted: Fit, of_machine: Sequence[int]) -> dict[str, UpdatedNumber]:
+    """Return the numbers that the recordings determine, before and after."""
     whiten, same = estimation.whiten, estimation.problem.motions
     parameters = [fitted.parameters[i] for i in of_machine]
     covariance = fitted.covariance(whiten.frequencies(), whiten.rows, same)[np.ix_(of_machine, of_machine)]
@@ -369,13 +353,15 @@ def _posterior(
     alone = np.minimum(np.maximum(sd, scatter), 1.0)
     given = wider / np.sqrt(np.diag(np.linalg.inv(covariance)))
     floor = np.array([DAMPING_FLOOR if "damping" in n.name else FLOOR for n in parameters])
-    before = {n.name: normal(n.start, n.sd) for n in parameters}
-    after, beside = {}, {}
+    numbers = {}
     for k in np.flatnonzero(told).tolist():
         n, value = parameters[k], fitted.values[parameters[k].name]
-        after[n.name] = normal(value, float(np.hypot(n.sd * alone[k], floor[k] * abs(value))))
-        beside[n.name] = float(np.hypot(n.sd * min(given[k], alone[k]) / abs(value), floor[k]))
-    return before, after, beside
+        numbers[n.name] = UpdatedNumber(
+            before=normal(n.start, n.sd),
+            after=normal(value, float(np.hypot(n.sd * alone[k], floor[k] * abs(value)))),
+            given_others=float(np.hypot(n.sd * min(given[k], alone[k]) / abs(value), floor[k])),
+        )
+    return numbers
 
 
 def _innovation(fitted: Fit, of_machine: Sequence[int]) -> tuple[float, int, float]:
@@ -396,23 +382,20 @@ def _refuse(
     held_out: tuple[float, float, float],
     innovation: tuple[float, int, float],
 ) -> None:
-    _, after, noise = held_out
+    """Refuse recordings of another printer, or of one that has changed."""
+    (_, after, noise), (statistic, freedom, probability) = held_out, innovation
+    if after**2 - noise**2 > LEFT:
+        reason = (
+            f"With any numbers that the file allows, {after:.0%} of the motion is left: the printer is another, or "
+            "something is loose or lacks in the file."
+        )
+    elif probability < UNLIKELY:
+        reason = (
+            f"Its numbers would have to move farther than its [uncertainty] and the drift allow (χ² {statistic:.0f} "
+            f"of {freedom}): something has changed, or the file is of another printer."
+        )
+    else:
+        return
     plan = "" if request.plan is None else f" --plan {request.plan}"
     remedy = f"Nothing is written. See what the file lacks: ffcomp diagnose RUNS{plan} -m {request.machine}"
-    if after**2 - noise**2 > LEFT:
-        raise MeasurementError(
-            machine.name,
-            [
-                f"With any numbers that the file allows, {after:.0%} of the motion is left: the printer is another, or "
-                f"something is loose or lacks in the file. {remedy}"
-            ],
-        )
-    if innovation[2] < UNLIKELY:
-        raise MeasurementError(
-            machine.name,
-            [
-                f"Its numbers would have to move farther than its [uncertainty] and the drift allow (χ² "
-                f"{innovation[0]:.0f} of {innovation[1]}): something has changed, or the file is of another printer. "
-                f"{remedy}"
-            ],
-        )
+    raise MeasurementError(machine.name, [f"{reason} {remedy}"])

@@ -102,7 +102,7 @@ def test_intervals_hold_and_are_ten_times_narrower(updates: list[tuple[tuple[flo
     held = []
     for hz, updated in updates:
         for key, true in zip(KEYS, hz, strict=True):
-            estimate = updated.after[key]
+            estimate = updated.numbers[key].after
             held.append(estimate.low <= true <= estimate.high)
             assert abs(estimate.value / true - 1) < 0.01
             assert estimate.relative_sd < 0.01
