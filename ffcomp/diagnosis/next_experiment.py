@@ -14,7 +14,7 @@ and its root over the number of rows is promised, in units of the noise. All rec
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -32,7 +32,7 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
-from ffcomp.record.plan import Experiment, Plan
+from ffcomp.record.plan import Plan
 from gcode.dialect import KLIPPER
 from models.arrays import FloatArray
 from models.finding import machine_paths
@@ -80,7 +80,15 @@ class Separation:
     @property
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
-        question, now, there = self._question(), digits(self.now, 2), digits(self.there, 2)
+        ours = [name for name in self.ours if name not in self.other]
+        theirs = [name for name in self.other if name not in self.ours]
+        if not self.ours:
+            question = f"show {joined(theirs)} of a usual size"
+        elif ours and theirs:
+            question = f"separate {joined(ours)} from {joined(theirs)}"
+        else:
+            question = f"show whether {joined(ours or theirs)} acts as well"
+        now, there = digits(self.now, 2), digits(self.there, 2)
         if not self.tells:
             return (
                 f"No move of ffcomp record plan can {question}: it shows at most {there} times the noise, beyond what "
@@ -90,15 +98,6 @@ class Separation:
             f"Record {self.command} and give its captures along with these runs, to {question}: there the predictions "
             f"differ by {there} times the noise; in these runs by {now}."
         )
-
-    def _question(self) -> str:
-        ours = [name for name in self.ours if name not in self.other]
-        theirs = [name for name in self.other if name not in self.ours]
-        if not self.ours:
-            return f"show {joined(theirs)} of a usual size"
-        if ours and theirs:
-            return f"separate {joined(ours)} from {joined(theirs)}"
-        return f"show whether {joined(ours or theirs)} acts as well"
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ class _Trial:
 
     request: Request
     plan: Plan
-    differences: tuple[float, ...]
+    differences: Sequence[float]
 
 
 def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool = False) -> list[Separation]:
@@ -137,19 +136,20 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool 
     for i, rival in enumerate(rivals if trials else []):
         trial = max(trials, key=lambda each, i=i: each.differences[i])  # type: ignore[misc]
         (experiment,), recorder = trial.plan.experiments, Recorder(machine.flavor or KLIPPER)
-        separation = Separation(
-            ours=ours,
-            other=rival.names,
-            now=now[i],
-            there=trial.differences[i],
-            kind=experiment.kind,
-            position_mm=experiment.position_mm,
-            command=command_of(machine, trial.request),
-            gcode=b"".join(gcode_lines(trial.plan, machine, recorder)).decode(),
-            otherwise=separated_by(ours, rival.names),
-            alike=bool(alike),
+        found.append(
+            Separation(
+                ours=ours,
+                other=rival.names,
+                now=now[i],
+                there=trial.differences[i],
+                kind=experiment.kind,
+                position_mm=experiment.position_mm,
+                command=command_of(machine, trial.request),
+                gcode=b"".join(gcode_lines(trial.plan, machine, recorder)).decode(),
+                otherwise=separated_by(ours, rival.names),
+                alike=bool(alike),
+            )
         )
-        found.append(separation)
     return found
 
 
@@ -199,41 +199,33 @@ def _with(diagnosis: Diagnosis, screened: Screened, sizes: FloatArray) -> dict[s
 
 def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Sequence[Rival]) -> list[_Trial]:
     """Try every kind at the centre, then the best kind at other places, higher, and softer."""
-    machine = problem.machine
+    machine, signals, rate = problem.machine, problem.observations[0].signals, problem.observations[0].rate_hz
+    known = best.information / best.overdispersion
+
+    def played(requests: Iterable[Request]) -> Iterator[_Trial]:
+        """Play recordings on every explanation; those that the machine cannot make are left out."""
+        for request in requests:
+            try:
+                plan = make_plan(machine, request)
+            except FfcompError:
+                continue
+            (one,) = plan.experiments
+            blank = blank_recording(machine, one.name, one.motion.nozzle, one.duration_s, signals, rate)
+            virtual = PrinterProblem(machine, [blank], ())
+            whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
+            there = replace(estimation_problem(virtual, whiten, diagnosis.estimation.settings), coarse=True)
+            yield _Trial(request, plan, _differences(there, best, rivals, known))
+
     centre, *others = default_places(machine)
     usual = Request(places_mm=[centre], seconds=SECONDS)
-    trials = [*_played(problem, diagnosis, best, rivals, [replace(usual, kinds=(kind,)) for kind in KINDS])]
+    trials = [*played(replace(usual, kinds=(kind,)) for kind in KINDS)]
     if not trials:
         return []
     top = max(trials, key=lambda trial: min(trial.differences)).request
     more = [replace(top, places_mm=[place]) for place in others]
     more.append(replace(top, height_mm=round(0.5 * machine.kinematics.height_mm)))
     more.append(replace(top, acceleration_mm_per_s2=round(0.25 * machine.limits.acceleration_mm_per_s2)))
-    return [*trials, *_played(problem, diagnosis, best, rivals, more)]
-
-
-def _played(
-    problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Sequence[Rival], requests: Sequence[Request]
-) -> Iterator[_Trial]:
-    """Play recordings on every explanation; those that the machine cannot make are left out."""
-    for request in requests:
-        try:
-            plan = make_plan(problem.machine, request)
-        except FfcompError:
-            continue
-        virtual = _virtual(problem, diagnosis, plan.experiments[0])
-        yield _Trial(request, plan, tuple(_differences(virtual, best, rivals, best.information / best.overdispersion)))
-
-
-def _virtual(problem: PrinterProblem, diagnosis: Diagnosis, experiment: Experiment) -> EstimationProblem:
-    """Make a problem of a planned recording."""
-    like, motion = problem.observations[0], experiment.motion
-    recording = blank_recording(
-        problem.machine, experiment.name, motion.nozzle, motion.duration_s, like.signals, like.rate_hz
-    )
-    virtual = PrinterProblem(problem.machine, [recording], ())
-    whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
-    return replace(estimation_problem(virtual, whiten, diagnosis.estimation.settings), coarse=True)
+    return [*trials, *played(more)]
 
 
 def blank_recording(
