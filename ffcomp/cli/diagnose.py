@@ -33,12 +33,8 @@ def diagnose(request: DiagnoseRequest, writing: Writing) -> Result:
     """
     from ffcomp.cli.progress import SearchProgress
     from ffcomp.diagnosis.diagnosis import USUAL_S
-    from ffcomp.diagnosis.verb import diagnose_files
-    from gcode.atomic_write import replace_atomically
+    from ffcomp.diagnosis.verb import diagnose_request
 
     request = replace(request, progress=lambda sentence: report(f"ffcomp: {sentence}"))
     with SearchProgress(USUAL_S) as search_progress:
-        diagnosis = diagnose_files(request, search_progress)
-    if diagnosis.output is not None:
-        replace_atomically(diagnosis.output, [diagnosis.better_file().encode()])
-    return diagnosis
+        return diagnose_request(request, search_progress)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,9 +19,8 @@ from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
-from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of
 from ffcomp.diagnosis.score_test import separated_by
-from ffcomp.diagnosis.where import ResidualBreakdown, ResidualSize, locate_residual
+from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, ResidualSize, curves_of, locate_residual
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import ALL_OF, keys
 from models.effects.catalogue import CATALOGUE, key_in_file
@@ -39,8 +39,6 @@ class Gap:
     after: ResidualSize
     elsewhere: tuple[float, float]  # nrms before and after, at positions that were left out of the fit
     left_out: str = "places"  # left out of the fit in turn: places, experiments, windows, or nothing ("")
-    unproven: Sequence[str] = ()  # places or experiments where it is not explained
-    noise_guessed: bool = False  # no motion was repeated, and no sensor shows its own
 
     json_keys: ClassVar = keys("noise", before="before.nrms", after="after.nrms") | {
         "held_out.before": "elsewhere.0",
@@ -87,24 +85,6 @@ class Change:
     fitted: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileNumbers:
-    """Changes of the machine file's own numbers."""
-
-    retuned: Mapping[str, Change] = field(default_factory=dict)
-    off: Mapping[str, Change] = field(default_factory=dict)  # those that alone would explain as much
-    beyond: Mapping[str, float] = field(default_factory=dict)  # retuned by so many of their uncertainties
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rest:
-    """What one effect that holds most of a discrepancy leaves."""
-
-    explained: float  # share of the discrepancy that the effect explains where it was left out of the fit
-    left: ResidualBreakdown
-    rivals: Sequence[tuple[tuple[str, ...], float]] = ()  # effects of other families, and what they explain there
-
-
 @dataclass(frozen=True, slots=True)
 class Interval:
     """A parameter in the machine file's terms, with its 90 % interval; lists where the file has lists."""
@@ -121,18 +101,20 @@ class FoundEffect:
     name: str
     family: str  # what it is, whatever its law; or its name
     parameters: Mapping[str, Interval]  # by the machine file's key
-    confidence: float
-    evidence: float
+    confidence: float  # against the best that was tried without it
+    evidence: float  # −2 ln Z gained against retuning alone, of all effects
 
 
 @dataclass(frozen=True, slots=True)
-class Dominant:
-    """An effect that is named with a rest."""
+class PartlyExplained:
+    """The effect that holds most of a discrepancy, and what it leaves."""
 
-    json_keys: ClassVar = {ALL_OF: "effect"} | keys(explained="rest.explained", left="rest.left", rivals="rest.rivals")
+    json_keys: ClassVar = {ALL_OF: "effect"} | keys("explained", "left", "rivals")
 
     effect: FoundEffect
-    rest: Rest
+    explained: float  # share of the discrepancy that the effect explains where it was left out of the fit
+    left: ResidualBreakdown
+    rivals: Sequence[tuple[tuple[str, ...], float]]  # effects of other families, and what they explain there
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,83 +133,219 @@ class Nearest:
     because: Sequence[str]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True)
+class PrintGain:
+    """Predicted contour errors of the sample, rms in µm, on the printer as the diagnosis found it."""
+
+    uncompensated_um: float
+    before_um: float  # compensated with the original file
+    after_um: float  # with the better file
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DiagnosisResult:
-    """The contents of the answer and of the better machine file."""
+    """The contents of the answer and of the better machine file; the best hypothesis even if it was rejected.
+
+    Attributes
+    ----------
+    search : everything that the verdict rests on
+    separations : what to record, to separate explanations that fit as well
+    print_gain : what prints gain by the better machine file; None: not predicted
+    """
 
     json_keys: ClassVar = keys(
-        *("verdict", "finding", "dominant", "undetermined", "refused", "invisible", "late_s", "cut_short", "gap"),
+        "verdict",
+        finding="search.finding",
+        dominant="dominant",
+        undetermined="undetermined",
+        refused="refused",
+        invisible="search.invisible",
+        late_s="late_s",
+        cut_short="search.cut_short",
+        gap="gap",
         effects="found",
+        print_gain="print_gain",
         residual_curves="curves",
-        retuned="file.retuned",
+        retuned="retuned",
         separate="separations",
         confusable_with="confounded_with",
         left_out="gap.left_out",
-        unproven_at="gap.unproven",
-        or_file_off="file.off",
+        unproven_at="unproven",
+        or_file_off="file_off",
         other_motions="others",
-        compared="compared_kind",
+        compared="compared",
     )
 
-    verdict: str  # "effects", "none" or "unknown"
-    finding: str  # the verdict more closely, see diagnosis.FINDINGS
-    fault: str = ""  # of the recordings: a sentence
-    effects: Mapping[str, Mapping[str, Any]]  # of the best hypothesis, as tables of a machine file
-    intervals: Mapping[str, Estimate]  # effects.name.key -> in the machine file's terms
-    confidence: Mapping[str, float]  # of each effect against the best that was tried without it
-    evidence: float  # −2 ln Z gained against retuning alone
-    others: Sequence[OtherMotion] = ()  # motions of an axis, each simulated with what was fitted to the others
-    rejections: Sequence[str] = ()
-    invisible: Sequence[str] = ()  # effects whose usual size the recordings could not show
-    confounded_with: Sequence[Confusable] = ()
-    separations: Sequence[Separation] = ()  # from what fits as well
-    prints_worse: bool = False  # by the better file, as the sample print is predicted
-    gap: Gap
-    rest: Rest | None = None  # of an effect that is named with a rest
-    curves: Sequence[ResidualCurve] = ()  # of what is not explained
-    undetermined: Sequence[str] = ()  # numbers of the effects at their bounds, or open over all of their range
-    scattered: Sequence[str] = ()  # numbers whose intervals are wide because few motions scatter
-    motions: int = 0  # different ones, in the recordings
-    file: FileNumbers
-    names: MachineNames = field(default_factory=MachineNames)
-    late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
-    cut_short: bool = False  # the search ended at its budget
-    forces: bool = False  # compared are forces, see `Problem.forces`
+    search: Diagnosis
+    separations: Sequence[Separation] = ()
+    print_gain: PrintGain | None = None
+
+    @property
+    def problem(self) -> Problem:
+        """What was compared."""
+        return self.search.estimation.problem
+
+    @property
+    def names(self) -> MachineNames:
+        """What people call the parts of the machine."""
+        return self.problem.names
+
+    @property
+    def verdict(self) -> str:
+        """Return "effects", "none" or "unknown"."""
+        return self.search.verdict
 
     @property
     def compared(self) -> str:
-        """Say what is compared."""
-        return "the drive's forces" if self.forces else "the signals"
+        """What is compared: the signals, or the drive's forces."""
+        return "forces" if self.problem.forces else "signals"
 
-    @property
-    def compared_kind(self) -> str:
-        """The same in a word."""
-        return "forces" if self.forces else "signals"
+    # ---- effects ----
 
-    @property
-    def found(self) -> list[FoundEffect]:
-        """The effects, where the verdict is that they are missing."""
-        return [self.effect(name) for name in self.effects] if self.verdict == "effects" else []
-
-    @property
-    def dominant(self) -> Dominant | None:
-        """The effect that is named with a rest."""
-        return None if self.rest is None else Dominant(self.effect(self.named[0]), self.rest)
-
-    @property
-    def refused(self) -> Nearest | None:
-        """What came nearest, if anything speaks against it."""
-        return Nearest([*self.effects], self.rejections) if self.rejections else None
-
-    def effect(self, name: str) -> FoundEffect:
-        """Return one of the effects."""
-        family = CATALOGUE[name].family or name
-        return FoundEffect(name, family, self.parameters(name), self.confidence[name], self.evidence)
+    @cached_property
+    def effects(self) -> dict[str, dict[str, Any]]:
+        """The effects of the best hypothesis, as tables of a machine file."""
+        return effect_tables(self.search.final.values) if self.search.best is not None else {}
 
     @property
     def named(self) -> tuple[str, ...]:
         """The effects that are named: all there are, or the one that holds most of the gap."""
-        return tuple(self.effects) if self.verdict == "effects" or self.rest is not None else ()
+        return tuple(self.effects) if self.verdict == "effects" or self.search.dominant is not None else ()
+
+    @property
+    def found(self) -> list[FoundEffect]:
+        """The effects, where the verdict is that they are missing."""
+        return [self._effect(name) for name in self.effects] if self.verdict == "effects" else []
+
+    @property
+    def dominant(self) -> PartlyExplained | None:
+        """The effect that is named with a rest."""
+        if (most := self.search.dominant) is None:
+            return None
+        rivals = [(r.names, r.explained) for r in most.rivals]
+        return PartlyExplained(self._effect(self.named[0]), most.explained, self._residuals[1], rivals)
+
+    @property
+    def refused(self) -> Nearest | None:
+        """What came nearest, if anything speaks against it."""
+        because = [self.names.quantities.sentence(each) for each in self.search.rejections]
+        return Nearest([*self.effects], because) if because else None
+
+    def _effect(self, name: str) -> FoundEffect:
+        family, search = CATALOGUE[name].family or name, self.search
+        ahead = search.final.ahead_of(search.base)
+        return FoundEffect(name, family, self.parameters(name), self._confidence(name), ahead)
+
+    def _confidence(self, effect: str) -> float:
+        """Compute the probability against the best hypothesis without its cause, both equally likely beforehand."""
+        search = self.search
+        assert search.best is not None
+        behind = [search.behind(h) for h in search.tried if CATALOGUE[effect].cause not in h.causes]
+        nearest = min([*behind, search.best.fit.ahead_of(search.base)])
+        sure = float(1 / (1 + np.exp(-np.clip(nearest / 2, -50, 50))))
+        # tested at one place, or wrong numbers of the file would explain as much: at most so sure
+        tested = 1.0 if self.gap.left_out in ("places", "windows") else 0.9
+        return min(sure, tested, 1.0 if search.file_off is None else 0.5)
+
+    def parameters(self, effect: str) -> dict[str, Interval]:
+        """Return value, low and high of one effect by the machine file's keys."""
+        quantities, found = self.names.quantities, {}
+        for key, table in self.effects[effect].items():
+            interval = self._interval(effect, key, table)
+            ends = (quantities.value(key, x) for x in (interval.value, interval.low, interval.high))
+            found[key_in_file(effect, key, quantities)] = Interval(*ends)
+        return found
+
+    def _interval(self, effect: str, key: str, table: Any) -> Interval:
+        """Return the interval of one key; `table` : its value in the machine file."""
+        name = f"effects.{effect}.{key}"
+        if CATALOGUE[effect].parameter(key).size == "direction":
+            angle = self.intervals[name]
+            ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (angle.low, angle.high)]
+            return Interval(table, *((table, table) if isinstance(table, str) else ends))
+        if not isinstance(table, list):
+            return self.intervals[name]
+        # actuators that rested in all recordings have no estimate
+        each = [self.intervals.get(f"{name}[{i}]", Interval(x, x, x)) for i, x in enumerate(table)]
+        if len(each) == 1:
+            return each[0]
+        return Interval([x.value for x in each], [x.low for x in each], [x.high for x in each])
+
+    @cached_property
+    def intervals(self) -> dict[str, Interval]:
+        """By `effects.name.key`, in the machine file's terms."""
+        return {n: _in_file_terms(n, e) for n, e in self.search.intervals.items() if n.startswith("effects.")}
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Numbers of the effects at their bounds, or open over all of their range."""
+        best = self.search.best
+        return [] if best is None else [self._number(name) for name in undetermined(best, self.search.intervals)]
+
+    @property
+    def scattered(self) -> list[str]:
+        """Numbers of the effects whose intervals are wide because few motions scatter."""
+        return [self._number(name) for name in self.search.scattered if name.startswith("effects.")]
+
+    def _number(self, name: str) -> str:
+        return self.names.quantities.key(name).removeprefix("effects.")
+
+    @property
+    def confounded_with(self) -> list[Confusable]:
+        """Effects that look alike in these runs."""
+        catalogue = self.names.catalogue
+        more = "more places and at several speeds" if catalogue is CATALOGUE else "several speeds and sizes"
+        return [
+            Confusable(name, separated_by(tuple(self.effects), [name], catalogue) or f"Runs at {more}.")
+            for name in self.search.confounded
+        ]
+
+    # ---- the gap ----
+
+    @cached_property
+    def _residuals(self) -> tuple[ResidualBreakdown, ResidualBreakdown]:
+        """With the original machine file, and with the final fit."""
+        problem, search = self.problem, self.search
+        before, after = (
+            locate_residual(problem, search.estimation.whiten, search.noise, problem.simulate(values))
+            for values in ({}, search.final.values)
+        )
+        return before, after
+
+    @cached_property
+    def gap(self) -> Gap:
+        """The discrepancy before and after."""
+        before, after = (each.total for each in self._residuals)
+        held_out, elsewhere = self.search.held_out, (before.noise_nrms, before.noise_nrms)
+        if held_out:  # each left out of the fit in turn
+            filed, fitted, signals = np.sum([place.power for place in held_out], axis=0)
+            elsewhere = float(np.sqrt(filed / signals)), float(np.sqrt(fitted / signals))
+        return Gap(before=before, after=after, elsewhere=elsewhere, left_out=self._left_out)
+
+    @property
+    def _left_out(self) -> str:
+        if not (held_out := self.search.held_out):
+            return "" if self.search.best is not None or self.verdict == "none" else "places"
+        if len(held_out[0].position) == 1:
+            return "windows"
+        return "experiments" if held_out[0].experiment else "places"
+
+    @property
+    def unproven(self) -> list[str]:
+        """Places or experiments where it is not explained."""
+        return [place.label for place in self.search.unproven]
+
+    @cached_property
+    def curves(self) -> list[ResidualCurve]:
+        """Of what is not explained."""
+        return curves_of(self.search)
+
+    @property
+    def others(self) -> list[OtherMotion]:
+        """Motions of an axis, each simulated with what was fitted to the others."""
+        return [replace(each, number=self._number(each.number)) for each in self.search.others]
+
+    # ---- the file's own numbers ----
 
     @property
     def mends(self) -> bool:
@@ -236,120 +354,85 @@ class DiagnosisResult:
             return bool(self.named)
         return not self.late_s and bool(self.gap.left_out) and self.gap.closed
 
-    def parameters(self, effect: str) -> dict[str, Interval]:
-        """Return value, low and high of one effect by the machine file's keys; lists where the file has lists."""
-        prefix, estimates = f"effects.{effect}.", dict[str, dict[int, Estimate]]()
-        for name, e in self.intervals.items():
-            if name.startswith(prefix):
-                key, _, index = name.removeprefix(prefix).rstrip("]").partition("[")
-                estimates.setdefault(key, {})[int(index or 0)] = e
-        quantities = self.names.quantities
-        return {
-            key_in_file(effect, key, quantities): Interval(
-                *(quantities.value(key, number) for number in _in_file(effect, key, each, self.effects[effect][key]))
-            )
-            for key, each in estimates.items()
-            if key != WHOLE
-        }
+    @property
+    def retuned(self) -> dict[str, Change]:
+        """By key, those that moved."""
+        return {key: change for key, z, change in self._moved(self.search.final) if z}
 
+    @property
+    def beyond(self) -> dict[str, float]:
+        """By how many of their uncertainties those moved that moved far."""
+        return {key: abs(z) for key, z, _ in self._moved(self.search.final) if abs(z) > BEYOND_SD}
 
-def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
-    """Translate a diagnosis; the best hypothesis is reported even if it was rejected."""
-    fitted = diagnosis.final
-    tables = effect_tables(fitted.values) if diagnosis.best is not None else {}
-    catalogue = problem.names.catalogue
-    more = "more places and at several speeds" if catalogue is CATALOGUE else "several speeds and sizes"
-    before, after = (
-        locate_residual(problem, diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values))
-        for values in ({}, fitted.values)
-    )
-    key = problem.names.quantities.key
-    dominant, noise = diagnosis.dominant, before.total.noise_nrms
-    moved = [
-        (n.name, float(z), Change(n.start, problem.stated(fitted.values, n.name)))
-        for n, z in zip(fitted.parameters, fitted.z, strict=True)
-        if of_machine(n.name)
-    ]
-    return DiagnosisResult(
-        verdict=diagnosis.verdict,
-        finding=diagnosis.finding,
-        fault="" if diagnosis.fault is None else diagnosis.fault.sentence(),
-        effects=tables,
-        intervals={n: _in_file_terms(n, e) for n, e in diagnosis.intervals.items() if n.startswith("effects.")},
-        confidence={name: _confidence(diagnosis, name) for name in tables},
-        evidence=fitted.ahead_of(diagnosis.base),
-        others=[replace(o, number=key(o.number).removeprefix("effects.")) for o in diagnosis.others],
-        rejections=[problem.names.quantities.sentence(each) for each in diagnosis.rejections],
-        invisible=diagnosis.invisible,
-        confounded_with=[
-            Confusable(n, separated_by(tuple(tables), [n], catalogue) or f"Runs at {more}.")
-            for n in diagnosis.confounded
-        ],
-        gap=Gap(
-            before=before.total,
-            after=after.total,
-            elsewhere=_elsewhere(diagnosis, noise),
-            left_out=_left_out(diagnosis),
-            unproven=[place.label for place in diagnosis.unproven],
-            noise_guessed=not (diagnosis.noise.from_repeats or diagnosis.noise.of_sensors),
-        ),
-        rest=None
-        if dominant is None
-        else Rest(explained=dominant.explained, left=after, rivals=[(r.names, r.explained) for r in dominant.rivals]),
-        curves=curves_of(diagnosis),
-        undetermined=[]
-        if diagnosis.best is None
-        else [key(name).removeprefix("effects.") for name in undetermined(diagnosis.best, diagnosis.intervals)],
-        scattered=[key(name).removeprefix("effects.") for name in diagnosis.scattered if name.startswith("effects.")],
-        motions=len(set(problem.motions)),
-        file=FileNumbers(
-            retuned={key(name): values for name, z, values in moved if z},
-            off={} if diagnosis.file_off is None else {key(n): x for n, x in _off(diagnosis.file_off).items()},
-            beyond={
-                key(name): abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD
+    @property
+    def file_off(self) -> dict[str, Change]:
+        """Those that alone would explain as much, if they were wrong."""
+        numbers = self._moved(self.search.file_off) if self.search.file_off is not None else []
+        return {key: x for key, _, x in numbers if x.filed and abs(x.fitted / x.filed - 1) > OFF_SHARE}
+
+    def _moved(self, fitted: Fit) -> list[tuple[str, float, Change]]:
+        """Return the file's own numbers, those that moved furthest first: key, standard deviations, change."""
+        key, values = self.names.quantities.key, fitted.values
+        numbers = [
+            (key(n.name), float(z), Change(n.start, self.problem.stated(values, n.name)))
+            for n, z in zip(fitted.parameters, fitted.z, strict=True)
+            if of_machine(n.name)
+        ]
+        return sorted(numbers, key=lambda each: -abs(each[1]))
+
+    @cached_property
+    def late_s(self) -> dict[str, float]:
+        """By how much files lie off their command: the lags between repeats plus the fitted delay."""
+        fitted = self.search.final if self.search.best is not None else self.search.base
+        late = {}
+        for i, o in enumerate(self.problem.observations):
+            delays = [
+                _lag(self.problem, i, o.signals[members[0]]) + delay_of(fitted.values, o, clock)
+                for clock, members in o.by_clock.items()
+            ]
+            most = max(delays, key=abs)
+            if abs(most) > LATE_S:
+                late[Path(o.name).name] = most
+        return late
+
+    def better_file(self, source: Path, name: str, data: Sequence[str], when: str) -> str:
+        """Write the machine file with the named effects, the retuned parameters and their provenance.
+
+        Parameters
+        ----------
+        source : the original file, whose comments stay
+        data : the files of the recordings, with their hashes
+        when : the date
+        """
+        quantities, gap = self.names.quantities, self.gap
+        values: dict[str, Any] = {key: float(f"{each.fitted:.6g}") for key, each in self.retuned.items()}
+        for effect, table in self.effects.items():
+            if not table:
+                values[f"effects.{effect}"] = {}
+            for key, value in table.items():  # of an axis by itself `updated_text` knows the keys
+                written = key_in_file(effect, key, quantities) if quantities.per_kilogram else key
+                values[f"effects.{effect}.{written}"] = _rounded(value)
+        entry = {
+            "date": when,
+            "started_from": source.stem,
+            "data": list(data),
+            "intervals_90_percent": {
+                quantities.key(n): f"{quantities.scale(n) * e.low:.4g} to {quantities.scale(n) * e.high:.4g}"
+                for n, e in self.intervals.items()
             },
-        ),
-        names=problem.names,
-        late_s=_late(problem, diagnosis),
-        cut_short=diagnosis.cut_short,
-        forces=problem.forces,
-    )
+            "gap_nrms_before": float(f"{gap.before.nrms:.4g}"),
+            "gap_nrms_after": float(f"{gap.after.nrms:.4g}"),
+            "gap_nrms_noise": float(f"{gap.noise:.4g}"),
+            "held_out_nrms_before_after": [float(f"{x:.4g}") for x in gap.elsewhere],
+        }
+        if self.search.dominant is not None:
+            entry["explains_of_the_gap_elsewhere"] = float(f"{self.search.dominant.explained:.3g}")
+        return updated_text(source, values, name=name, provenance={"diagnosed": entry})
 
 
 def of_machine(name: str) -> bool:
     """Tell whether a fitted parameter is one of the machine file's own numbers."""
     return not (name.startswith("effects.") or belongs_to_recording(name))
-
-
-def _left_out(diagnosis: Diagnosis) -> str:
-    if not diagnosis.held_out:
-        return "" if diagnosis.best is not None or diagnosis.verdict == "none" else "places"
-    if len(diagnosis.held_out[0].position) == 1:
-        return "windows"
-    return "experiments" if diagnosis.held_out[0].experiment else "places"
-
-
-def _elsewhere(diagnosis: Diagnosis, noise: float) -> tuple[float, float]:
-    """Compute nrms over all positions, each left out of the fit in turn: with the original file, and with the fit."""
-    if not diagnosis.held_out:
-        return noise, noise
-    filed, after, signals = np.sum([place.power for place in diagnosis.held_out], axis=0)
-    return float(np.sqrt(filed / signals)), float(np.sqrt(after / signals))
-
-
-def _late(problem: Problem, diagnosis: Diagnosis) -> dict[str, float]:
-    """Return how late files lie: the lags between repeats plus the fitted delay."""
-    values = diagnosis.final.values if diagnosis.best is not None else diagnosis.base.values
-    late = {}
-    for i, o in enumerate(problem.observations):
-        delays = [
-            _lag(problem, i, o.signals[members[0]]) + delay_of(values, o, clock)
-            for clock, members in o.by_clock.items()
-        ]
-        most = max(delays, key=abs)
-        if abs(most) > LATE_S:
-            late[Path(o.name).name] = most
-    return late
 
 
 def _lag(problem: Problem, i: int, signal: str) -> float:
@@ -359,86 +442,17 @@ def _lag(problem: Problem, i: int, signal: str) -> float:
     return next(lags, 0.0)
 
 
-def _off(fitted: Fit) -> dict[str, Change]:
-    """Return the machine's numbers that would have to be wrong instead, those that move most first."""
-    moved = sorted(zip(fitted.parameters, fitted.z, strict=True), key=lambda each: -abs(each[1]))
-    numbers = [(n, fitted.values[n.name]) for n, _ in moved if of_machine(n.name) and n.start]
-    return {n.name: Change(n.start, x) for n, x in numbers if abs(x / n.start - 1) > OFF_SHARE}
-
-
-def _confidence(diagnosis: Diagnosis, effect: str) -> float:
-    """Compute the probability against the best hypothesis without its cause, both equally likely beforehand."""
-    if diagnosis.best is None:
-        return 0.0
-    fitted = diagnosis.best.fit
-    behind = [diagnosis.behind(h) for h in diagnosis.tried if CATALOGUE[effect].cause not in h.causes]
-    nearest = min([*behind, fitted.ahead_of(diagnosis.base)])
-    sure = float(1 / (1 + np.exp(-np.clip(nearest / 2, -50, 50))))
-    # tested at one place, or wrong numbers of the file would explain as much: at most so sure
-    tested = 1.0 if _left_out(diagnosis) in ("places", "windows") else 0.9
-    return min(sure, tested, 1.0 if diagnosis.file_off is None else 0.5)
-
-
-def _in_file_terms(name: str, e: Estimate) -> Estimate:
-    """Convert back from value ** power, which reverses an interval if the power is negative."""
+def _in_file_terms(name: str, e: Estimate) -> Interval:
+    """Convert back from a logarithm, or from value ** power, which reverses an interval if the power is negative."""
     _, effect, key = name.split(".")
     key = key.partition("[")[0]
-    if key != WHOLE and CATALOGUE[effect].parameter(key).logarithmic:
-        return Estimate(math.exp(e.value), e.sd * math.exp(e.value), math.exp(e.low), math.exp(e.high))
-    power = 1 if key == WHOLE else CATALOGUE[effect].parameter(key).power
-    if power == 1 or e.value <= 0:
-        return e
-    value, ends = e.value ** (1 / power), [max(x, 1e-12) ** (1 / power) for x in (e.low, e.high)]
-    return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
-
-
-def _in_file(effect: str, key: str, estimates: Mapping[int, Estimate], table: Any) -> tuple[Any, Any, Any]:
-    """Return value, low and high of one key.
-
-    Parameters
-    ----------
-    estimates : by their places in a list.
-    table : the key's value in the machine file.
-    """
-    if CATALOGUE[effect].parameter(key).size == "direction":
-        first = estimates[0]
-        ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (first.low, first.high)]
-        low, high = (table, table) if isinstance(table, str) else ends
-        return table, low, high
-    told = table if isinstance(table, list) else [table]  # actuators that rested in all recordings have no estimate
-    value, low, high = (
-        [float(getattr(estimates[i], what)) if i in estimates else x for i, x in enumerate(told)]
-        for what in ("value", "low", "high")
-    )
-    return (value, low, high) if len(value) > 1 else (value[0], low[0], high[0])
-
-
-def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence[str], when: str) -> str:
-    """Write the machine file with the named effects, the retuned parameters and their provenance; comments survive."""
-    quantities = result.names.quantities
-    values: dict[str, Any] = {key: float(f"{each.fitted:.6g}") for key, each in result.file.retuned.items()}
-    for effect, table in result.effects.items():
-        if not table:
-            values[f"effects.{effect}"] = {}
-        for key, value in table.items():  # of an axis by itself `updated_text` knows the keys
-            written = key_in_file(effect, key, quantities) if quantities.per_kilogram else key
-            values[f"effects.{effect}.{written}"] = _rounded(value)
-    entry = {
-        "date": when,
-        "started_from": source.stem,
-        "data": list(data),
-        "intervals_90_percent": {
-            quantities.key(n): f"{quantities.scale(n) * e.low:.4g} to {quantities.scale(n) * e.high:.4g}"
-            for n, e in result.intervals.items()
-        },
-        "gap_nrms_before": float(f"{result.gap.before.nrms:.4g}"),
-        "gap_nrms_after": float(f"{result.gap.after.nrms:.4g}"),
-        "gap_nrms_noise": float(f"{result.gap.noise:.4g}"),
-        "held_out_nrms_before_after": [float(f"{x:.4g}") for x in result.gap.elsewhere],
-    }
-    if result.rest is not None:
-        entry["explains_of_the_gap_elsewhere"] = float(f"{result.rest.explained:.3g}")
-    return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+    shape = None if key == WHOLE else CATALOGUE[effect].parameter(key)
+    if shape is not None and shape.logarithmic:
+        return Interval(*(math.exp(x) for x in (e.value, e.low, e.high)))
+    if shape is not None and shape.power != 1 and e.value > 0:
+        value, *ends = (max(x, 1e-12) ** (1 / shape.power) for x in (e.value, e.low, e.high))
+        return Interval(value, min(ends), max(ends))
+    return Interval(e.value, e.low, e.high)
 
 
 def _rounded(value: Any) -> Any:

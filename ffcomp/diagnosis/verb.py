@@ -13,26 +13,22 @@ from typing import Any, ClassVar, cast
 
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.request import CompensateOptions
-from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.next_experiment import Separation, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import check_recordings, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import DiagnoseRequest
-from ffcomp.diagnosis.result import DiagnosisResult, better_file, result_of
+from ffcomp.diagnosis.result import DiagnosisResult, PrintGain
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.trace import Trace
-from ffcomp.diagnosis.where import DrawnResidual, drawn_residual
 from ffcomp.diagnosis.words import digits
 from ffcomp.errors import FfcompError
 from ffcomp.identification.machine_fit import hash_of
 from ffcomp.inverse.model import GEOMETRY
-from ffcomp.numerics.serialise import ALL_OF, keys
+from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
-from ffcomp.result import Fact
-from ffcomp.result import Result as Answered
+from ffcomp.result import Fact, Result
 from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import read_command, simulate_command
 from gcode.atomic_write import replace_atomically
@@ -44,35 +40,28 @@ from models.machine import Machine, with_values
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Diagnosis(Answered):
+class Diagnosis(DiagnosisResult, Result):
     """The effects that a machine file lacks, if any.
 
     Attributes
     ----------
-    result : verdict, effects with intervals, retuned parameters and the discrepancy before and after
-    search : everything that the verdict rests on
-    print_gain : what prints gain by the better machine file; None: not predicted
+    runs : the files of the recordings
     output : the improved machine file; None: not written
+    seconds : computing took
     """
 
     schema = "ffcomp-diagnose/1"
-    json_keys: ClassVar = keys("said", "print_gain", "seconds", to_do="next_steps", machine="output") | {
-        ALL_OF: "result"
-    }
+    json_keys: ClassVar = keys("said", "seconds", to_do="next_steps", machine="output") | DiagnosisResult.json_keys
     page_by = "ffcomp.report.diagnose:page_of"
 
-    result: DiagnosisResult
-    problem: Problem
-    search: Search
-    runs: Sequence[Path]
-    print_gain: PrintGain | None
-    output: Path | None
-    seconds: float
+    runs: Sequence[Path] = ()
+    output: Path | None = None
+    seconds: float = 0.0
 
     @property
-    def verdict(self) -> str:
-        """Return "effects", "none" or "unknown"."""
-        return self.result.verdict
+    def said(self) -> list[str]:
+        """The answer in sentences."""
+        return summary_sentences(self)
 
     @property
     def headline(self) -> str:
@@ -82,15 +71,15 @@ class Diagnosis(Answered):
     @property
     def facts(self) -> list[Fact]:
         """The effects' parameters, the gap before and after, and what was written."""
-        result, gap, gain = self.result, self.result.gap, self.print_gain
+        gap, gain = self.gap, self.print_gain
         facts = [
             (f"{name}.{key}", f"{_digits(e.value)} (90 %: {_digits(e.low)} to {_digits(e.high)})")
-            for name in result.named
-            for key, e in result.parameters(name).items()
+            for name in self.named
+            for key, e in self.parameters(name).items()
         ]
         left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
         facts.append(("Disagreement", left))
-        facts += [("Not explained", curve.sentence) for curve in result.curves[:1]]
+        facts += [("Not explained", curve.sentence) for curve in self.curves[:1]]
         if gain is not None:
             errors = f"{digits(gain.before_um, 2)} → {digits(gain.after_um, 2)} µm rms with the better file"
             facts.append(("A sample print", f"{errors}, {digits(gain.uncompensated_um, 2)} without compensation"))
@@ -99,38 +88,29 @@ class Diagnosis(Answered):
     @property
     def warnings(self) -> list[str]:
         """The basis of the finding, and its limits."""
-        result = self.result
-        alike = [f"Looks alike: {each.name}. To separate them: {each.separate_by}" for each in result.confounded_with]
-        hidden = [f"These runs could not show: {', '.join(result.invisible)}."] if result.invisible else []
-        return [*self.said[1:], *(alike if result.named else ()), *hidden]
+        hidden = self.search.invisible
+        alike = [f"Looks alike: {each.name}. To separate them: {each.separate_by}" for each in self.confounded_with]
+        unseen = [f"These runs could not show: {', '.join(hidden)}."] if hidden else []
+        return [*self.said[1:], *(alike if self.named else ()), *unseen]
 
     @property
     def next_steps(self) -> list[str]:
         """What to do to the printer, to its file, and what to record next."""
-        return what_to_do(self.result)
+        return what_to_do(self)
 
-    def better_file(self) -> str:
+    def file_text(self) -> str:
         """Return the text of the improved machine file."""
         assert self.output is not None
-        hashes = [hash_of(path) for path in self.runs]
-        text = better_file(Path(self.problem.path), self.output.stem, self.result, hashes, date.today().isoformat())
+        hashes, today = [hash_of(path) for path in self.runs], date.today().isoformat()
+        text = self.better_file(Path(self.problem.path), self.output.stem, hashes, today)
         check_text(text, str(self.output))
         return text
 
-    def where(self) -> DrawnResidual:
-        """Locate the residual before and after."""
-        return drawn_residual(self.problem, self.search)
-
     def proposals(self) -> Sequence[Separation]:
         """Propose recordings, also where nothing fits as well; none of an axis by itself, which takes no G-code."""
-        if self.result.separations or not isinstance(self.problem, PrinterProblem):
-            return self.result.separations
+        if self.separations or not isinstance(self.problem, PrinterProblem):
+            return self.separations
         return separations(self.problem, self.search, nearest=True)
-
-    @property
-    def said(self) -> list[str]:
-        """The answer in sentences."""
-        return summary_sentences(self.result)
 
 
 def _digits(value: Any) -> str:
@@ -139,48 +119,7 @@ def _digits(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = None) -> Diagnosis:
-    """Diagnose recordings; nothing is written.
-
-    Parameters
-    ----------
-    search_progress : of the search, if it is shown otherwise than the rest
-
-    Raises
-    ------
-    MeasurementError, MachineFileError
-    """
-    began, plant, runs = (
-        time.monotonic(),
-        plant_of(request.machine),
-        cast("tuple[Path, ...]", request.recordings),
-    )
-    recordings = recordings_of(plant, runs, request.plan, turn_of(request.axes_map), request.progress)
-    problem = problem_of(plant, recordings)
-    check_recordings(problem, recordings, request.without_repeats)
-    trace = Trace()
-    budget = inf if request.thorough else None
-    search = diagnose(problem, search_progress or request.progress, budget, request.settings, trace)
-    if request.trace is not None:
-        trace.write(request.trace)
-    problem = search.estimation.problem
-    result, gain = result_of(problem, search), None
-    if isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
-        result = replace(result, separations=separations(problem, search))
-        gain = print_gain(plant, result)
-        result = replace(result, prints_worse=gain is not None and gain.after_um > gain.before_um)
-    return Diagnosis(
-        result=result,
-        problem=problem,
-        search=search,
-        runs=runs,
-        print_gain=gain,
-        output=Path(request.output) if request.output is not None and result.mends else None,
-        seconds=time.monotonic() - began,
-    )
-
-
-def diagnose_request(request: DiagnoseRequest) -> Diagnosis:
+def diagnose_request(request: DiagnoseRequest, search_progress: Progress | None = None) -> Diagnosis:
     """Find the physical effect that a machine file lacks, and its size.
 
     The improved machine file is written only if an effect is named or retuning closes the discrepancy.
@@ -189,6 +128,7 @@ def diagnose_request(request: DiagnoseRequest) -> Diagnosis:
     ----------
     settings : how broad the search is and what it keeps, see `ffcomp.diagnosis.settings`
     progress : takes sentences on what is being done
+    search_progress : of the search, if it is shown otherwise than the rest
 
     Raises
     ------
@@ -198,22 +138,27 @@ def diagnose_request(request: DiagnoseRequest) -> Diagnosis:
     --------
     >>> ffcomp.diagnose(["a-1.csv", "a-2.csv"], "my.toml", "better.toml")
     """
-    diagnosis = diagnose_files(request)
-    if diagnosis.output is not None:
-        replace_atomically(diagnosis.output, [diagnosis.better_file().encode()])
+    began, plant, runs = time.monotonic(), plant_of(request.machine), cast("tuple[Path, ...]", request.recordings)
+    recordings = recordings_of(plant, runs, request.plan, turn_of(request.axes_map), request.progress)
+    problem = problem_of(plant, recordings)
+    check_recordings(problem, recordings, request.without_repeats)
+    trace = Trace()
+    budget = inf if request.thorough else None
+    search = diagnose(problem, search_progress or request.progress, budget, request.settings, trace)
+    if request.trace is not None:
+        trace.write(request.trace)
+    diagnosis = Diagnosis(search=search, runs=runs)
+    if isinstance(problem := diagnosis.problem, PrinterProblem):  # one axis takes no G-code, prints nothing
+        gain = print_gain(plant, diagnosis)
+        diagnosis = replace(diagnosis, separations=separations(problem, search), print_gain=gain)
+    output = Path(request.output) if request.output is not None and diagnosis.mends else None
+    diagnosis = replace(diagnosis, output=output, seconds=time.monotonic() - began)
+    if output is not None:
+        replace_atomically(output, [diagnosis.file_text().encode()])
     return diagnosis
 
 
 # ---- what prints gain --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class PrintGain:
-    """Predicted contour errors of the sample, rms in µm, on the printer as the diagnosis found it."""
-
-    uncompensated_um: float
-    before_um: float  # compensated with the original file
-    after_um: float  # with the better file
 
 
 def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:
@@ -225,7 +170,7 @@ def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:
         return None
     if GEOMETRY in result.effects:
         return None
-    retuned = with_values(machine, {key: each.fitted for key, each in result.file.retuned.items()})
+    retuned = with_values(machine, {key: each.fitted for key, each in result.retuned.items()})
     better = replace(retuned, effects={**machine.effects, **result.effects})
     with TemporaryDirectory() as folder:
         sample = Path(folder) / "sample.gcode"

@@ -1,31 +1,39 @@
-"""Where the residual lies: its size by signal and recording, its excess by frequency, signal, position and motion.
+"""Where the residual lies: its size, its excess by frequency, signal, place and motion, and its shape.
 
-Size is √(Σ(measured − simulated)²/Σ measured²) inside the band. Excess is the mean square of the whitened error, less
-one: 0 is noise alone, 3 means that the error is twice the noise.
+**Size** is √(Σ(measured − simulated)²/Σ measured²) inside the band. **Excess** is the mean square of the whitened
+error, less one: 0 is noise alone, 3 means that the error is twice the noise.
+
+**Curves** are the mean residual against position, speed and the drive's force: the shape of what the machine file
+lacks. Of an axis whose force and position are known, the residual is a force: the drive's less the one that the
+measured motion needs (inverse dynamics). Otherwise it is measured less simulated, as recorded: an acceleration or a
+position. Each quantity is cut into bins of equally many rows. A bin's value is its mean; its band is the 90 % interval
+from the scatter of the sums over motions and places about that mean, which may have any correlation within them (the
+cluster sandwich: Liang & Zeger, Biometrika 73, 1986, with Student's t for few), and never less than the noise alone
+allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ffcomp.diagnosis.diagnosis import Diagnosis
-from ffcomp.diagnosis.noise import NoiseFloor, Whitener, lines, taper
-from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.fit import student_share
+from ffcomp.diagnosis.noise import NoiseFloor, Whitener, lines, noise_floor, taper
+from ffcomp.diagnosis.problem import Observation, Problem
+from ffcomp.diagnosis.words import digits, percent
+from ffcomp.identification.uncertainty import NINETY_PERCENT
 from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray
+from models.quantities import Quantities
 
-EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
-PHASE_BINS = 16
-WORST = 2  # signals that are shown
-BACKWARD, SLOW, FORWARD = MOTIONS = ("backward", "turning back or at rest", "forward")
+# ---- size ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -41,26 +49,6 @@ class ResidualSize:
     def over_noise(self) -> float:
         """How many times the noise it is."""
         return self.nrms / self.noise_nrms
-
-
-@dataclass(frozen=True)
-class Split:
-    """The excess over one quantity it may depend on; a value for each label."""
-
-    title: str
-    labels: tuple[str, ...]
-    before: tuple[float, ...]
-    after: tuple[float, ...]  # empty: of one simulation only
-    weight: tuple[float, ...]  # share of all entries compared
-    spans: tuple[tuple[float, float], ...] = ()  # from and to of each label, where labels follow one another
-    unit: str = ""  # of the spans
-    at: tuple[tuple[float, ...], ...] = ()  # places, where labels are places
-
-    @property
-    def shares(self) -> list[float]:
-        """Each label's share of the excess before."""
-        parts = np.maximum(self.before, 0.0) * self.weight
-        return list((parts / max(parts.sum(), 1e-300)).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +82,18 @@ class ResidualBreakdown:
     @property
     def near_reversals(self) -> float:
         """Share of the excess while the part that carries the sensor reverses or rests."""
-        return self._in_motion(SLOW)
+        return self._in_motion.get(SLOW, 0.0)
 
     @property
     def forwards(self) -> float:
         """Share of the excess while that part moves forwards, of all while it moves."""
-        ahead, back = self._in_motion(FORWARD), self._in_motion(BACKWARD)
+        ahead, back = (self._in_motion.get(way, 0.0) for way in (FORWARD, BACKWARD))
         return ahead / max(ahead + back, 1e-300)
 
-    def _in_motion(self, label: str) -> float:
+    @property
+    def _in_motion(self) -> dict[str, float]:
         split = self.splits["motion"]
-        return split.shares[split.labels.index(label)] if label in split.labels else 0.0
+        return dict(zip(split.labels, split.shares, strict=True))
 
 
 def locate_residual(
@@ -113,21 +102,19 @@ def locate_residual(
     """Compare all observations of a problem with their simulation, (n, m) each."""
     observations = whiten.observations
     names = [name for o in observations for name in o.signals]
-    each = [_powers(whiten, floor, i, y) for i, y in enumerate(simulated)]
+    each = [_powers(whiten, floor, o, y) for o, y in zip(observations, simulated, strict=True)]
     powers = np.concatenate(each)
-    files = zip(observations, each, strict=True)
     residual = whiten([o.measured - y for o, y in zip(observations, simulated, strict=True)])
     return ResidualBreakdown(
         _size(powers),
         {name: _size(powers[[other == name for other in names]]) for name in sorted(set(names))},
-        {Path(o.name).name: _size(part) for o, part in files},
+        {Path(o.name).name: _size(part) for o, part in zip(observations, each, strict=True)},
         {split.title: split for split in split_residual(problem, whiten, residual)},
     )
 
 
-def _powers(whiten: Whitener, floor: NoiseFloor, i: int, simulated: FloatArray) -> FloatArray:
-    """Return the powers in the band of error, noise and measurement of each signal of observation i, (m, 3)."""
-    o = whiten.observations[i]
+def _powers(whiten: Whitener, floor: NoiseFloor, o: Observation, simulated: FloatArray) -> FloatArray:
+    """Return the powers in the band of error, noise and measurement of each signal, (m, 3)."""
     (error, frequency), (measured, _) = whiten.spectrum(o, o.measured - simulated), whiten.spectrum(o, o.measured)
     noise = [2 * whiten.power(o) * float(np.sum(floor.at(name, frequency))) for name in o.signals]
     return np.column_stack([np.sum(np.abs(error) ** 2, axis=1), noise, np.sum(np.abs(measured) ** 2, axis=1)])
@@ -138,20 +125,67 @@ def _size(powers: FloatArray) -> ResidualSize:
     return ResidualSize(float(np.sqrt(error / measured)), float(np.sqrt(noise / measured)))
 
 
-# ---- splits --------------------------------------------------------------------------------------
+def _rows(values: Iterable[ArrayLike], observations: Sequence[Observation]) -> NDArray[Any]:
+    """Return a row for each sample of each signal, (rows,): values (n, m) an observation, or what makes these."""
+    parts = zip(values, observations, strict=True)
+    return np.concatenate([np.broadcast_to(x, o.measured.shape).ravel() for x, o in parts])
+
+
+# ---- excess by what it may depend on -------------------------------------------------------------
+
+EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
+SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
+PHASE_BINS = 16
+BACKWARD, SLOW, FORWARD = MOTIONS = ("backward", "turning back or at rest", "forward")
+
+
+@dataclass(frozen=True)
+class Split:
+    """The excess over one quantity it may depend on; a value for each label."""
+
+    title: str
+    labels: tuple[str, ...]
+    spans: tuple[tuple[float, float], ...] = ()  # from and to of each label, where labels follow one another
+    unit: str = ""  # of the spans
+    at: tuple[tuple[float, ...], ...] = ()  # places, where labels are places
+    before: tuple[float, ...] = ()
+    after: tuple[float, ...] = ()  # empty: of one simulation only
+    weight: tuple[float, ...] = ()  # share of all entries compared
+
+    @property
+    def shares(self) -> list[float]:
+        """Each label's share of the excess before."""
+        parts = np.maximum(self.before, 0.0) * self.weight
+        return list((parts / max(parts.sum(), 1e-300)).tolist())
 
 
 def split_residual(problem: Problem, whiten: Whitener, *residuals: FloatArray) -> list[Split]:
     """Split the excess of one or two whitened residuals (rows,) by all quantities it may depend on."""
-    bands = np.digitize(whiten.frequencies(), EDGES_HZ[1:-1])
-    edges = tuple(pairwise(EDGES_HZ))
-    blank = Split("frequency", tuple(f"{a:g}-{b:g} Hz" for a, b in edges), (), (), (), edges, "Hz")
-    splits = [_filled(blank, bands, np.ones(len(bands)), residuals)]
-    joined = [np.concatenate([x.ravel() for x in series(whiten, residual)]) for residual in residuals]
-    expected = np.concatenate([x.ravel() for x in _expected(whiten)])
-    for empty, groups in _by(problem):
-        splits.append(_filled(empty, np.concatenate([g.ravel() for g in groups]), expected, joined))
+    observations, bands = problem.observations, np.digitize(whiten.frequencies(), EDGES_HZ[1:-1])
+    splits = [_filled(_spanned("frequency", EDGES_HZ, "Hz"), bands, np.ones(len(bands)), residuals)]
+    rows = [_rows(series(whiten, residual), observations) for residual in residuals]
+    faded = [taper(len(o.measured), o.rate_hz)[:, None] ** 2 for o in observations]
+    noise = _rows((w / w.mean() for w in faded), observations)  # the square that noise alone has; the ends are faded
+    signals = tuple(sorted({s for o in observations for s in o.signals}))
+    places = tuple(dict.fromkeys(o.position for o in observations))
+    place = "place" if problem.reach_mm else "window of time"
+    groups: list[tuple[Split, Callable[[int, Observation], ArrayLike]]] = [
+        (Split("signal", signals), lambda _, o: [signals.index(s) for s in o.signals]),
+        (Split(place, tuple(map(problem.place_name, places)), at=places), lambda _, o: places.index(o.position)),
+        (Split("motion", MOTIONS), lambda _, o: _direction(o.speed)),
+    ]
+    if problem.commands:
+        edges = np.linspace(0, 100, PHASE_BINS + 1)
+        groups.append((_spanned("motor's step cycle", edges, "%"), lambda i, o: _phase(problem, i, o)))
+    for split, group in groups:
+        group_of = _rows((group(i, o) for i, o in enumerate(observations)), observations)
+        splits.append(_filled(split, group_of, noise, rows))
     return splits
+
+
+def _spanned(title: str, edges: Sequence[float] | FloatArray, unit: str) -> Split:
+    spans = tuple((float(a), float(b)) for a, b in pairwise(edges))
+    return Split(title, tuple(f"{a:.0f}-{b:.0f} {unit}" for a, b in spans), spans, unit)
 
 
 def _filled(blank: Split, group: NDArray[np.int64], expected: FloatArray, residuals: Sequence[FloatArray]) -> Split:
@@ -163,73 +197,33 @@ def _filled(blank: Split, group: NDArray[np.int64], expected: FloatArray, residu
     kept = np.flatnonzero(np.bincount(group, minlength=count))
     noise = np.bincount(group, expected, count)[kept]
     means = [np.bincount(group, x**2, count)[kept] / np.maximum(noise, 1e-300) - 1 for x in residuals]
-
-    def of_kept(values: tuple[Any, ...]) -> tuple[Any, ...]:
-        return tuple(values[i] for i in kept) if values else ()
-
     return replace(
         blank,
-        labels=of_kept(blank.labels),
-        spans=of_kept(blank.spans),
-        at=of_kept(blank.at),
+        labels=tuple(blank.labels[i] for i in kept),
+        spans=tuple(blank.spans[i] for i in kept if blank.spans),
+        at=tuple(blank.at[i] for i in kept if blank.at),
         before=tuple(means[0].tolist()),
         after=tuple(means[1].tolist()) if len(means) > 1 else (),
         weight=tuple((noise / noise.sum()).tolist()),
     )
 
 
-def _expected(whiten: Whitener) -> list[FloatArray]:
-    """Return the square that noise alone has in `series`, (n, m) an observation; the ends are faded."""
-    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in whiten.observations]
-    return [np.outer(w / w.mean(), np.ones(len(r.signals))) for w, r in zip(faded, whiten.observations, strict=True)]
-
-
 def series(whiten: Whitener, residual: FloatArray) -> list[FloatArray]:
     """Transform the whitened residual (rows,) back to time, (n, m) an observation; noise has a mean square of one."""
     series_of = []
     for observation, rows in zip(whiten.observations, whiten.rows, strict=True):
-        _, keep = lines(observation, whiten.band_hz)
         real, imaginary = residual[rows].reshape(2, len(observation.signals), -1)
-        spectrum = np.zeros((len(observation.signals), len(keep)), dtype=complex)
-        spectrum[:, keep] = real + 1j * imaginary
-        n = len(observation.measured)
-        series_of.append(np.fft.irfft(spectrum, n, axis=1).T * n / (2 * np.sqrt(keep.sum())))
+        keep, n = lines(observation, whiten.band_hz)[1], len(observation.measured)
+        series_of.append(_in_time(whiten, observation, real + 1j * imaginary) * n / (2 * np.sqrt(keep.sum())))
     return series_of
 
 
-def _by(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
-    """List every split: its labels, and which of them each sample (n, m) of each observation has."""
-    observations = problem.observations
-    signals = sorted({s for r in observations for s in r.signals})
-    positions = list(dict.fromkeys(r.position for r in observations))
-    full: list[NDArray[np.int64]] = [np.ones(r.measured.shape, dtype=np.int64) for r in observations]
-    by_signal = [
-        one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, observations, strict=True)
-    ]
-    by_position = [one * positions.index(r.position) for one, r in zip(full, observations, strict=True)]
-    moved = [_direction(r.speed) for r in observations]
-    return [
-        (_named("signal", signals), by_signal),
-        (_places(problem, positions), by_position),
-        (_named("motion", MOTIONS), moved),
-        *_by_phase(problem),
-    ]
-
-
-def _places(problem: Problem, positions: Sequence[tuple[float, ...]]) -> Split:
-    return replace(
-        _named("place" if problem.reach_mm else "window of time", [problem.place_name(p) for p in positions]),
-        at=tuple(positions),
-    )
-
-
-def _named(title: str, labels: Sequence[str]) -> Split:
-    return Split(title, tuple(labels), (), (), ())
-
-
-def _shares(title: str, edges: Sequence[float] | FloatArray) -> Split:
-    spans = tuple((100 * float(a), 100 * float(b)) for a, b in pairwise(edges))
-    return Split(title, tuple(f"{a:.0f}-{b:.0f} %" for a, b in spans), (), (), (), spans, "%")
+def _in_time(whiten: Whitener, observation: Observation, spectrum: NDArray[np.complex128]) -> FloatArray:
+    """Transform lines inside the band, (m, k), back to time: (n, m)."""
+    keep = lines(observation, whiten.band_hz)[1]
+    whole = np.zeros((len(spectrum), len(keep)), dtype=complex)
+    whole[:, keep] = spectrum
+    return np.asarray(np.fft.irfft(whole, len(observation.measured), axis=1).T)
 
 
 def _direction(speed: FloatArray) -> NDArray[np.int64]:
@@ -237,18 +231,186 @@ def _direction(speed: FloatArray) -> NDArray[np.int64]:
     return np.where(slow, 1, np.where(speed > 0, 2, 0)).astype(np.int64)
 
 
-def _by_phase(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
-    """Split by the phase of the signal's own motor; of motor A for the nozzle's."""
-    if not problem.commands:
+def _phase(problem: Problem, i: int, o: Observation) -> NDArray[np.int64]:
+    """Return the phase of the signal's own motor, (n, m); of motor A for the nozzle's."""
+    moved = problem.commands[i][:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in o.signals]]
+    return (np.mod(moved / problem.cycle_mm, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS
+
+
+# ---- curves of the residual ----------------------------------------------------------------------
+
+ROWS_A_BIN, FEWEST, MOST = 100, 6, 40  # bins
+LEAST_CLUSTERS = 3  # with rows in a bin: fewer give no band
+SHOWN_SHARE = 0.02  # of the residual's power: a curve that holds less is not shown
+WEAK_SHARE = 0.1  # below it, the residual depends little on the quantity
+IN_REGIME, REGIME_GAIN = 0.75, 0.25  # share of a curve's power in a regime; more than its share of the rows
+SIMPLER = 0.05  # less gain: a regime that takes fewer words is preferred
+NOUNS = {"pos": "position", "vel": "speed", "acc": "acceleration", "force": "the drive's force"}
+
+
+@dataclass(frozen=True)
+class ResidualCurve:
+    """The mean residual in k bins of one quantity, in the units of the machine file."""
+
+    signal: str  # whose residual it is: `force`, `acc_x`
+    unit: str
+    against: str  # `position`, `speed`, `acceleration`, `the drive's force`
+    against_unit: str
+    at: tuple[float, ...]  # (k,) mean of the quantity in each bin
+    residual: tuple[float, ...]  # (k,)
+    half_width: tuple[float, ...]  # (k,) of the 90 % band
+    share: float  # of the residual's power that the curve holds, beyond what its uncertainty alone gives
+    regime: str  # where most of that lies
+
+    @property
+    def sentence(self) -> str:
+        """Say where the residual lies."""
+        size = f"{digits(min(self.residual), 2)} to {digits(max(self.residual), 2)} {self.unit}"
+        share = f"{percent(self.share)} of its power"
+        if self.share < WEAK_SHARE:
+            return f"residual {self.signal} depends little on {self.against}: {share}, {size}"
+        return f"residual {self.signal} against {self.against}: {share}, {self.regime}; {size}"
+
+
+def curves_of(diagnosis: Diagnosis) -> list[ResidualCurve]:
+    """Return the curves of what a diagnosis leaves; none where it leaves nothing, or the recordings are at fault.
+
+    Where one effect is named and leaves a rest, that rest; else the residual of the original machine file.
+    """
+    if diagnosis.finding not in ("dominant", "unproven", "unexplained"):
         return []
-    phases, cycle = [], problem.cycle_mm
-    for r, command in zip(problem.observations, problem.commands, strict=True):
-        moved = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
-        phases.append((np.mod(moved / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
-    return [(_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), phases)]
+    values = diagnosis.final.values if diagnosis.finding == "dominant" else {}
+    return residual_curves(diagnosis.estimation.problem, values, diagnosis.noise)
+
+
+def residual_curves(
+    problem: Problem, values: Mapping[str, float], floor: NoiseFloor | None = None
+) -> list[ResidualCurve]:
+    """Return for each quantity the curve of the signal where it holds most, the largest share first.
+
+    Parameters
+    ----------
+    values : parameters of the simulation
+    floor : noise of the problem's own signals; None: it is estimated
+    """
+    forces = problem.by_force()
+    floor = floor if forces is problem and floor is not None else noise_floor(forces)
+    observations = forces.observations
+    signals = list(dict.fromkeys(s for o in observations for s in o.signals))
+    signal = _rows(([signals.index(s) for s in o.signals] for o in observations), observations)
+    residual = _rows(map(_residual, observations, forces.simulate(values)), observations)
+    places = [(motion, o.position) for motion, o in zip(forces.motions, observations, strict=True)]
+    cluster = _rows(map(places.index, places), observations)
+    moved = [forces.moved(i) for i in range(len(observations))]
+    quantities = {kind: _rows((m.get(kind, np.nan) for m in moved), observations) for m in moved for kind in m}
+    best: dict[str, ResidualCurve] = {}
+    for s, name in enumerate(signals):
+        first = next(o for o in observations if name in o.signals)
+        noise = _noise_of_a_row(floor, first, name, forces.band_hz)
+        for kind, quantity in quantities.items():
+            known = np.flatnonzero((signal == s) & np.isfinite(quantity) & np.isfinite(residual))
+            units = forces.names.quantities
+            curve = _curve(units, (name, kind), quantity[known], residual[known], cluster[known], noise)
+            if curve is not None and (kind not in best or curve.share > best[kind].share):
+                best[kind] = curve
+    return sorted((c for c in best.values() if c.share > SHOWN_SHARE), key=lambda c: -c.share)
+
+
+def _residual(o: Observation, simulated: FloatArray) -> FloatArray:
+    """Return measured less simulated, (n, m); an accelerometer's zero is not known."""
+    apart = o.measured - simulated
+    return np.asarray(apart - np.where([s.startswith("acc") for s in o.signals], np.nanmean(apart, axis=0), 0.0))
+
+
+def _noise_of_a_row(floor: NoiseFloor, observation: Observation, signal: str, band_hz: tuple[float, float]) -> float:
+    """Return the noise's variance in the band, per row: the variance of a mean of n rows is 1/n of that."""
+    low, high = band_hz
+    frequency = np.linspace(max(low, 1e-3), high, 200)
+    power = float(np.mean(floor.at(signal, frequency))) * (high - low)
+    return power * max(observation.rate_hz / (2 * (high - low)), 1.0)  # fewer rows are independent
+
+
+def _curve(
+    quantities: Quantities,
+    names: tuple[str, str],
+    quantity: FloatArray,
+    residual: FloatArray,
+    cluster: NDArray[np.int64],
+    noise: float,
+) -> ResidualCurve | None:
+    """Average the residual (n,) in bins of a quantity (n,); None where too little was recorded for a band."""
+    count = min(max(len(quantity) // ROWS_A_BIN, FEWEST), MOST)
+    edges = np.unique(np.quantile(quantity, np.linspace(0, 1, count + 1))) if len(quantity) else np.zeros(0)
+    if len(edges) < FEWEST:
+        return None
+    group = np.clip(np.searchsorted(edges, quantity, "right") - 1, 0, len(edges) - 2)
+    members = [np.flatnonzero(group == b) for b in range(len(edges) - 1)]
+    bins = np.array([_mean_and_error(quantity[m], residual[m], cluster[m], noise) for m in members])
+    rows, at = np.array([(len(m), quantity[m].mean()) for m in members]).T
+    kept = np.isfinite(bins[:, 1])
+    if kept.sum() < FEWEST:
+        return None
+    (mean, error, wider), rows, at = bins[kept].T, rows[kept], at[kept]
+    power = rows * np.maximum(mean**2 - error**2, 0.0)
+    signal, kind = names
+    _, unit, scale = quantities.signal(signal)
+    _, against_unit, along = quantities.signal(kind)
+    return ResidualCurve(
+        signal,
+        unit,
+        NOUNS[kind],
+        against_unit,
+        tuple((along * at).tolist()),
+        tuple((scale * mean).tolist()),
+        tuple((scale * NINETY_PERCENT * wider * error).tolist()),
+        float(power.sum() / max(residual @ residual, 1e-300)),
+        _regime(along * at, rows / rows.sum(), power / max(power.sum(), 1e-300), against_unit),
+    )
+
+
+def _mean_and_error(
+    quantity: FloatArray, residual: FloatArray, cluster: NDArray[np.int64], noise: float
+) -> tuple[float, float, float]:
+    """Return the mean of n rows, its standard error (infinite with too few clusters), and Student's share for it.
+
+    The law's slope within the bin is no error of the mean, and is taken out of the scatter.
+    """
+    n, members = len(residual), np.unique(cluster)
+    if len(members) < LEAST_CLUSTERS:
+        return 0.0, float("inf"), 1.0
+    mean, x = float(residual.mean()), quantity - quantity.mean()
+    slope = float(x @ residual) / max(float(x @ x), 1e-300)
+    sums = np.bincount(cluster, residual - mean - slope * x)
+    scatter = float(sums @ sums) / n**2 * len(members) / (len(members) - 1)
+    return mean, float(np.sqrt(max(scatter, noise / n))), student_share(len(members) - 1)
+
+
+def _regime(at: FloatArray, rows: FloatArray, power: FloatArray, unit: str) -> str:
+    """Return the part of a quantity's range, (k,), that holds most of a curve's power, but few of its rows.
+
+    Parameters
+    ----------
+    rows, power : (k,) shares of each bin
+    """
+    size = np.abs(at)
+    limits, edges = ([0.5 * (a + b) for a, b in pairwise(x)] for x in (np.sort(size), at))
+    regimes = [(f"below {digits(x, 2)}", size < x) for x in limits]
+    regimes += [(f"above {digits(x, 2)}", size > x) for x in limits]
+    regimes += [(f"beyond {digits(x, 2)}", at > x) for x in edges]
+    regimes += [(f"up to {digits(x, 2)}", at < x) for x in edges]
+    pairs = combinations(edges, 2)
+    regimes += [(f"from {digits(a, 2)} to {digits(b, 2)}", (at > a) & (at < b)) for a, b in pairs]
+    gains = np.array([power[inside].sum() - rows[inside].sum() for _, inside in regimes])
+    words, inside = regimes[int(np.argmax(gains > gains.max() - SIMPLER))]
+    if gains.max() < REGIME_GAIN or power[inside].sum() < IN_REGIME:
+        return "over the whole range"
+    return f"most of it {words} {unit}"
 
 
 # ---- as the report draws it ----------------------------------------------------------------------
+
+WORST = 2  # signals that are shown
+SHOWN_S = 0.25  # of each
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,59 +431,41 @@ class Overlay:
 class DrawnResidual:
     """Where measurement and simulation differ, before and after the fit."""
 
-    band_hz: tuple[float, float]  # where measurement and simulation are compared
-    noise_from: str  # in words
     splits: tuple[Split, ...]
     overlays: tuple[Overlay, ...]
 
 
-def drawn_residual(problem: Problem, diagnosis: Diagnosis) -> DrawnResidual:
-    """Compare measurement and simulation: before with the machine file, after with the final fit."""
-    estimation = diagnosis.estimation
-    answers = problem.simulate({}), problem.simulate(diagnosis.final.values)
-    before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
-    return DrawnResidual(
-        estimation.whiten.band_hz,
-        diagnosis.noise.origin,
-        tuple(split_residual(problem, estimation.whiten, before, after)),
-        tuple(_overlays(problem, estimation.whiten, answers, before)),
-    )
+def drawn_residual(diagnosis: Diagnosis) -> DrawnResidual:
+    """Compare measurement and simulation, before with the machine file, after with the final fit.
+
+    Overlays are of the signals with the largest excess.
+    """
+    estimation, problem, whiten = diagnosis.estimation, diagnosis.estimation.problem, diagnosis.estimation.whiten
+    answers = [problem.simulate({}), problem.simulate(diagnosis.final.values)]
+    residuals = [estimation.measured - whiten(simulated) for simulated in answers]
+    errors = series(whiten, residuals[0])
+    loudest: dict[str, tuple[float, int, int]] = {}
+    for i, (o, error) in enumerate(zip(problem.observations, errors, strict=True)):
+        for k, signal in enumerate(o.signals):
+            loudest[signal] = max(loudest.get(signal, (0.0, 0, 0)), (float(np.mean(error[:, k] ** 2)), i, k))
+    worst = sorted(loudest.values(), reverse=True)[:WORST]
+    overlays = [_overlay(problem, whiten, answers, errors[i][:, k], i, k) for _, i, k in worst]
+    return DrawnResidual(tuple(split_residual(problem, whiten, *residuals)), tuple(overlays))
 
 
-Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) an observation, before and after
-
-
-def _overlays(problem: Problem, whiten: Whitener, answers: Answers, before: FloatArray) -> list[Overlay]:
-    """Select the signals with the largest excess, around the time where it was largest."""
-    errors = series(whiten, before)
-    ranked = sorted(
-        ((float(np.mean(e[:, k] ** 2)), i, k) for i, e in enumerate(errors) for k in range(e.shape[1])), reverse=True
-    )
-    distinct = {problem.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
-    chosen = [(i, k) for _, i, k in ranked if distinct[problem.observations[i].signals[k]] == (i, k)]
-    return [_overlay(problem, whiten, answers, errors[i][:, k], i, k) for i, k in chosen[:WORST]]
-
-
-def _overlay(problem: Problem, whiten: Whitener, answers: Answers, error: FloatArray, i: int, k: int) -> Overlay:
-    r = problem.observations[i]
-    half = round(0.25 * r.rate_hz / 2)  # of a window of a quarter of a second
+def _overlay(
+    problem: Problem, whiten: Whitener, answers: Sequence[Sequence[FloatArray]], error: FloatArray, i: int, k: int
+) -> Overlay:
+    """Show signal k of observation i around the time where its whitened error (n,) was largest."""
+    o = problem.observations[i]
+    half = round(SHOWN_S * o.rate_hz / 2)
     power = np.convolve(error**2, np.ones(2 * half), "same")
     middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
     part = slice(middle - half, middle + half)
-    measured, before, after = (_in_band(whiten, i, x)[part, k] for x in (r.measured, answers[0][i], answers[1][i]))
-    frequency, _ = lines(r, whiten.band_hz)
-    noise = whiten.floor.at(r.signals[k], frequency)
-    rms = float(np.sqrt(np.sum(noise) * (frequency[1] - frequency[0])))
-    time = np.arange(part.start, part.stop) / r.rate_hz
-    _, unit, scale = problem.names.quantities.signal(r.signals[k])
-    shown = (scale * measured, scale * before, scale * after, scale * rms)
-    return Overlay(Path(r.name).name, r.signals[k], time, *shown, unit)
-
-
-def _in_band(whiten: Whitener, i: int, x: FloatArray) -> FloatArray:
-    """Filter signals (n, m) of observation i to the compared band."""
-    observation = whiten.observations[i]
-    _, keep = lines(observation, whiten.band_hz)
-    spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
-    spectrum[keep] = whiten.spectrum(observation, x)[0].T
-    return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
+    _, unit, scale = problem.names.quantities.signal(o.signals[k])
+    signals = (o.measured, *(simulated[i] for simulated in answers))
+    measured, before, after = (scale * _in_time(whiten, o, whiten.spectrum(o, x)[0])[part, k] for x in signals)
+    frequency, _ = lines(o, whiten.band_hz)
+    noise = scale * float(np.sqrt(np.sum(whiten.floor.at(o.signals[k], frequency)) * (frequency[1] - frequency[0])))
+    time = np.arange(part.start, part.stop) / o.rate_hz
+    return Overlay(Path(o.name).name, o.signals[k], time, measured, before, after, noise, unit)

@@ -11,13 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.fit import intervals_of
-from ffcomp.diagnosis.held_out import HeldOut
-from ffcomp.diagnosis.residual_curves import ResidualCurve
-from ffcomp.diagnosis.result import DiagnosisResult, of_machine
+from ffcomp.diagnosis.result import of_machine
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import DrawnResidual, Overlay, Split
+from ffcomp.diagnosis.where import DrawnResidual, Overlay, ResidualCurve, Split, drawn_residual
 from ffcomp.diagnosis.words import (
     digits,
     evidence,
@@ -51,36 +48,27 @@ KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noi
 
 def page_of(diagnosis: Diagnosis) -> Page:
     """Return the page of a diagnosis."""
-    result, search, where, proposals = diagnosis.result, diagnosis.search, diagnosis.where(), diagnosis.proposals()
-    overlaid = list(map(overlay, where.overlays))
+    search, where, proposals = diagnosis.search, drawn_residual(diagnosis.search), diagnosis.proposals()
+    worst = "Measured and simulated, where they differ most"
     sections = [
         Section("Where they differ", sentences=[KEY], drawings=splits(where)),
-        Section(
-            "Measured and simulated, where they differ most", sentences=[f"Dark: measured. {KEY}"], drawings=overlaid
-        ),
+        Section(worst, sentences=[f"Dark: measured. {KEY}"], drawings=list(map(overlay, where.overlays))),
     ]
-    if result.curves:
-        shown = "with the best explanation" if result.named else "with the machine file"
+    if diagnosis.curves:
+        shown = "with the best explanation" if diagnosis.named else "with the machine file"
         sentence = f"Mean residual {shown}, in bins of one quantity. Grey: the 90 % band of each mean."
-        sections.append(Section("Not explained", sentences=[sentence], drawings=list(map(_curve, result.curves))))
+        sections.append(Section("Not explained", sentences=[sentence], drawings=list(map(_curve, diagnosis.curves))))
     if search.best is not None and search.held_out:
         sentence = "Each was left out of the fit in turn, and simulated with the parameters of the others."
-        drawn = [_held_out(search.held_out, result)]
-        sections.append(Section("Left out of the fit", sentences=[sentence], drawings=drawn))
+        sections.append(Section("Left out of the fit", sentences=[sentence], drawings=[_held_out(diagnosis)]))
     if proposals:
         gcode = next((each.gcode for each in proposals if each.gcode), "")
         texts = [each.sentence for each in proposals] + (["The G-code of the first:"] if gcode else [])
         sections.append(Section("What to record next", sentences=texts, code=gcode))
-    sections += [
-        Section(
-            "Evidence",
-            tables=[_evidence(search, result), _retuned(search, result)],
-            folded=True,
-        ),
-        Section("Files", tables=[Table(("", ""), _files(diagnosis, where))], folded=True),
-    ]
-    band = "{:g}-{:g} Hz".format(*where.band_hz)
-    about = [f"verdict: {result.verdict}", f"{len(diagnosis.runs)} runs", band]
+    sections.append(Section("Evidence", tables=[_evidence(diagnosis), _retuned(diagnosis)], folded=True))
+    sections.append(Section("Files", tables=[Table(("", ""), _files(diagnosis))], folded=True))
+    band = "{:g}-{:g} Hz".format(*search.estimation.whiten.band_hz)
+    about = [f"verdict: {diagnosis.verdict}", f"{len(diagnosis.runs)} runs", band]
     output = None if diagnosis.output is None else Path(diagnosis.output.name)
     return Page(diagnosis.problem.name, about, sections, replace(diagnosis, output=output).answer)
 
@@ -88,8 +76,9 @@ def page_of(diagnosis: Diagnosis) -> Page:
 # ---- tables --------------------------------------------------------------------------------------
 
 
-def _evidence(search: Search, result: DiagnosisResult) -> Table:
+def _evidence(diagnosis: Diagnosis) -> Table:
     """List the explanations that were fitted in full, the most likely first."""
+    search, catalogue = diagnosis.search, diagnosis.names.catalogue
     head = ("explanation", "error, times the noise", "behind, −2 ln Z", "parameters")
     if search.best is None:
         return Table(head, [("none was needed", "", "", "")], "Explanations")
@@ -97,8 +86,7 @@ def _evidence(search: Search, result: DiagnosisResult) -> Table:
     tried.append(((), search.base, search.base.evidence - search.best.fit.evidence))
     rows = [
         (
-            joined([f"{title(name, result.names.catalogue)} ({name})" for name in names])
-            or "nothing added, only retuned",
+            joined([f"{title(name, catalogue)} ({name})" for name in names]) or "nothing added, only retuned",
             digits(times_noise(fit.discrepancy)),
             evidence(behind),
             str(len(fit.parameters)),
@@ -108,14 +96,15 @@ def _evidence(search: Search, result: DiagnosisResult) -> Table:
     return Table(head, rows, "Explanations")
 
 
-def _retuned(search: Search, result: DiagnosisResult) -> Table:
+def _retuned(diagnosis: Diagnosis) -> Table:
     """List the machine file's parameters, those that moved furthest first."""
+    search = diagnosis.search
     full = search.base if search.best is None else search.best.fit
     intervals = search.intervals or intervals_of(search.estimation, full, search.final.values)
     moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in full.parameters if of_machine(n.name)]
     rows = [
         (
-            result.names.quantities.key(n.name),
+            diagnosis.names.quantities.key(n.name),
             digits(n.start, 5),
             percent(n.sd / abs(n.start)) if n.start else digits(n.sd),
             interval(intervals[n.name]),
@@ -126,11 +115,11 @@ def _retuned(search: Search, result: DiagnosisResult) -> Table:
     return Table(("parameter", "in the file", "allowed, ±", "now (90 %)", "moved by, sd"), rows, "Retuning")
 
 
-def _files(diagnosis: Diagnosis, where: DrawnResidual) -> list[tuple[str, str]]:
+def _files(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return [
         ("machine file", hash_of(Path(diagnosis.problem.path))),
         *(("run", hash_of(path)) for path in diagnosis.runs),
-        ("noise", f"from {where.noise_from}"),
+        ("noise", f"from {diagnosis.search.noise.origin}"),
         ("computing time", f"{diagnosis.seconds:.0f} s"),
     ]
 
@@ -140,12 +129,12 @@ def _files(diagnosis: Diagnosis, where: DrawnResidual) -> list[tuple[str, str]]:
 
 def splits(where: DrawnResidual) -> list[Drawing]:
     """Return a figure for each quantity that the excess may depend on."""
-    return [_split(split) for split in where.splits]
+    return [_split(split, TITLES[split.title]) for split in where.splits]
 
 
-def _split(split: Split) -> Drawing:
-    height = HEIGHT if split.spans else ROW * len(split.labels) + AXIS
-    return Drawing("where", TITLES[split.title], "", "", WIDTH, height, partial(draw_split, split=split))
+def _split(split: Split, title: str, more: float = 0.0) -> Drawing:
+    height = HEIGHT if split.spans else ROW * len(split.labels) + AXIS + more
+    return Drawing("where", title, "", "", WIDTH, height, partial(draw_split, split=split))
 
 
 def overlay(each: Overlay) -> Drawing:
@@ -156,15 +145,17 @@ def overlay(each: Overlay) -> Drawing:
     return Drawing("overlay", f"{each.signal} in {Path(each.recording).name}", said, "", WIDTH, 3.6, draw)
 
 
-def _held_out(places: Sequence[HeldOut], result: DiagnosisResult) -> Drawing:
-    labels = [p.label if p.experiment or len(p.position) == 1 else f"{p.label} mm" for p in places]
+def _held_out(diagnosis: Diagnosis) -> Drawing:
+    places = diagnosis.search.held_out
+    labels = tuple(p.label if p.experiment or len(p.position) == 1 else f"{p.label} mm" for p in places)
     label, worst = max(zip(labels, places, strict=True), key=lambda pair: pair[1].after)
     finding = (
         f"At the worst of them, {label}, the error is {times(times_noise(worst.before))} the noise before and "
         f"{times(times_noise(worst.after))} after."
     )
-    draw, height = partial(draw_held_out, places=places, labels=labels), ROW * len(labels) + AXIS + 0.3
-    return Drawing("held-out", result.gap.left_out.capitalize(), finding, "", WIDTH, height, draw)
+    left_out = diagnosis.gap.left_out.capitalize()
+    split = Split(left_out, labels, before=tuple(p.before for p in places), after=tuple(p.after for p in places))
+    return replace(_split(split, left_out, 0.3), name="held-out", finding=finding)
 
 
 def _curve(curve: ResidualCurve) -> Drawing:
@@ -192,14 +183,6 @@ def draw_split(box: Box, split: Split) -> None:
         _steps(axes, split, before, after)
     else:
         _dumbbells(axes, split.labels, before, after)
-
-
-def draw_held_out(box: Box, places: Sequence[HeldOut], labels: Sequence[str]) -> None:
-    """Draw the error before and after at positions left out of the fit."""
-    before, after = (
-        np.maximum([times_noise(getattr(p, what)) for p in places], LEAST_SHOWN) for what in ("before", "after")
-    )
-    _dumbbells(box.subplots(), labels, before, after)
 
 
 def _steps(axes: Axes, split: Split, before: FloatArray, after: FloatArray) -> None:

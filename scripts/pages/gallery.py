@@ -216,7 +216,7 @@ def diagnosis() -> Image.Image:
     follow("DIAGNOSE", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
     plant = PrinterProblem(load_machine("my-delta.toml"), runs)
-    found = drawn_residual(plant, diagnose(plant))
+    found = drawn_residual(diagnose(plant))
     return side_by_side([overlay(found.overlays[0]), splits(found)[0]])
 
 

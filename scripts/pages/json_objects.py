@@ -11,7 +11,7 @@ import sys
 import textwrap
 import types
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import reduce
+from functools import cached_property, reduce
 from importlib import import_module
 from inspect import get_annotations, getsource
 from operator import or_
@@ -22,8 +22,7 @@ import numpy as np
 
 from ffcomp.comparison.result import EqualQuality, Error, Method
 from ffcomp.compensation.result import Failure
-from ffcomp.diagnosis.result import Dominant, Interval, Nearest
-from ffcomp.diagnosis.verb import PrintGain
+from ffcomp.diagnosis.result import Interval, Nearest, PartlyExplained, PrintGain
 from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.estimation.statistics import Spent, Statistics
 from ffcomp.identification.frf_study import Bode
@@ -55,7 +54,7 @@ SHARED: dict[type, str] = {
     Bode: "BODE",
     Interval: "INTERVAL",
     Nearest: "REFUSED",
-    Dominant: "DOMINANT",
+    PartlyExplained: "DOMINANT",
     PrintGain: "GAIN",
     Plan: "ffcomp-moves/1",
     Failure: "FAILED",
@@ -189,8 +188,9 @@ def type_of(cls: type, name: str) -> Any:
         return get_args(cls)[int(name)]
     for owner in cls.__mro__:
         value = vars(owner).get(name)
-        if isinstance(value, property):
-            return get_type_hints(value.fget, localns=_names(owner))["return"]
+        if isinstance(value, property | cached_property):
+            getter = value.fget if isinstance(value, property) else value.func
+            return get_type_hints(getter, localns=_names(owner))["return"]
         if name in get_annotations(owner):
             kind = get_type_hints(owner, localns=_names(owner))[name]
             return get_args(kind)[0] if get_origin(kind) is ClassVar else kind

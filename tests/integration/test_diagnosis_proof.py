@@ -13,7 +13,7 @@ import pytest
 
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.result import better_file, result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.where import drawn_residual
 from ffcomp.measurement.recording import Recording, read_recording
 from models.effects.catalogue import with_effect
@@ -47,11 +47,10 @@ def asked(folder: Path, *names: str) -> tuple[PrinterProblem, Diagnosis]:
 
 
 def written(folder: Path, *names: str) -> Path:
-    plant, found = asked(folder, *names)
+    _, found = asked(folder, *names)
     path = folder / ("+".join(names) + ".toml")
-    path.write_text(
-        better_file(folder / "owner.toml", "better", result_of(plant, found), [], "today"), encoding="utf-8"
-    )
+    text = DiagnosisResult(search=found).better_file(folder / "owner.toml", "better", [], "today")
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -131,9 +130,9 @@ def found(
 
 
 def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
-    plant, diagnosis = found(("guide_damping",), TWO, cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
+    _, diagnosis = found(("guide_damping",), TWO, cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
     assert diagnosis.verdict == "unknown" and diagnosis.rejections and diagnosis.named is None
-    shown = drawn_residual(plant, diagnosis)
+    shown = drawn_residual(diagnosis)
     splits = {split.title: split for split in shown.splits}
     cycle = splits["motor's step cycle"]  # ripple follows the motor's position
     assert len(cycle.labels) == 16 and min(cycle.before) > 10
@@ -142,9 +141,9 @@ def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
 
 
 def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothing() -> None:
-    plant, diagnosis = found(("center_of_mass", "guide_damping"))
+    _, diagnosis = found(("center_of_mass", "guide_damping"))
     assert diagnosis.verdict == "none"
     assert diagnosis.invisible == ["center_of_mass"]  # by virtual work the carriages do not feel it
-    for split in drawn_residual(plant, diagnosis).splits:
+    for split in drawn_residual(diagnosis).splits:
         inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
         assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds

@@ -12,7 +12,7 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -64,8 +64,8 @@ def test_laws_of_one_cause_are_told_apart_or_told_together(law: str, hidden: dic
     assert answer.named is not None and answer.named.names == (law,)
     size = answer.final.values[f"effects.{law}.force_n"]
     assert size == pytest.approx(hidden["force_n"], rel=0.03 if law == "coulomb_friction" else 0.2)
-    said = result_of(answer.estimation.problem, answer)
-    assert said.confidence[law] > 0.99
+    said = DiagnosisResult(search=answer)
+    assert said.found[0].confidence > 0.99
     assert {h.names[0] for h in answer.competing} <= {each.name for each in said.confounded_with}
 
 
@@ -107,7 +107,7 @@ def test_of_two_sensors_the_one_that_lags_is_found_with_its_time() -> None:
     names = ("command_delay", "guide_damping", "sensor_lag")
     told = diagnose(AxisProblem(DRIVE, both, names))
     assert told.named is not None and told.named.names == ("sensor_lag",)
-    stated = result_of(told.estimation.problem, told).parameters("sensor_lag")["time_constant_s"]
+    stated = DiagnosisResult(search=told).parameters("sensor_lag")["time_constant_s"]
     assert stated.value == pytest.approx([0.0, 0.0, 2e-3], abs=1e-4) and stated.high[1] == 0.0
     alone = AxisProblem(DRIVE, runs_of(DRIVE, 3), names)
     assert {c.name for c in alone.candidates} == {"guide_damping", "command_delay"}

@@ -10,7 +10,7 @@ import pytest
 
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.result import better_file, result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.where import locate_residual
 from ffcomp.measurement.recording import Recording
 from models.file import LIBRARY, load_machine
@@ -59,10 +59,10 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     assert found.intervals["effects.coulomb_friction.force_n"].value == pytest.approx(3.0, rel=0.1)
     assert all(place.after < 0.15 * place.before for place in found.held_out)
 
-    told = result_of(plant, found)
-    assert told.gap.after.nrms < 0.2 * told.gap.before.nrms and told.confidence["coulomb_friction"] > 0.99
+    told = DiagnosisResult(search=found)
+    assert told.gap.after.nrms < 0.2 * told.gap.before.nrms and told.found[0].confidence > 0.99
     better = tmp_path / "better.toml"
-    better.write_text(better_file(TRUTH, "better", told, ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
+    better.write_text(told.better_file(TRUTH, "better", ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
     machine = load_machine(better)
     assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
     closed = locate_residual(

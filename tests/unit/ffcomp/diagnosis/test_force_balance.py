@@ -13,7 +13,7 @@ from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import problem_of
-from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
@@ -55,10 +55,10 @@ def _motion(t: FloatArray, speed: float, k: int = 0) -> tuple[FloatArray, FloatA
 def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> None:
     problem = turned(1)
     found = diagnose(problem)
-    told = result_of(found.estimation.problem, found)
+    told = DiagnosisResult(search=found)
     compared = measure_gap(problem.machine_with(found.final.values), list(problem.recordings))
     assert compared.forces and compared.residual.total.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)
-    assert told.forces and told.named == ("cogging_force",)
+    assert told.compared == "forces" and told.named == ("cogging_force",)
     table = told.effects["cogging_force"]
     sizes = {
         round(2e3 * np.pi / p): float(np.hypot(s, c))
@@ -116,7 +116,7 @@ def test_a_weight_is_named_although_it_hardly_changes_within_a_window() -> None:
         place = 1e3 * q + 0.05 * rng.normal(size=len(t))
         runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}, input="current"))
     found = diagnose(AxisProblem(MOTOR, runs, ("pendulum_gravity", "coulomb_friction", "guide_damping")))
-    told = result_of(found.estimation.problem, found)
+    told = DiagnosisResult(search=found)
     assert set(told.named) == {"pendulum_gravity", "coulomb_friction"}
     assert told.effects["pendulum_gravity"]["force_n"] == pytest.approx(0.8, rel=0.03)
     assert told.effects["coulomb_friction"]["force_n"] == pytest.approx(0.3, rel=0.1)

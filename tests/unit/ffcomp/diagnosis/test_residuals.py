@@ -16,7 +16,7 @@ from ffcomp.cli.app import app
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.residual_curves import ResidualCurve, residual_curves
+from ffcomp.diagnosis.where import ResidualCurve, residual_curves
 from ffcomp.measurement.axis_run import AxisRun
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.next_experiment import blank_recording, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.result import DiagnosisResult, result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import what_to_do
 from ffcomp.diagnosis.words import digits
 from ffcomp.measurement.recording import Recording
@@ -79,7 +79,7 @@ def asked(machine: Machine, runs: Sequence[Recording]) -> tuple[Diagnosis, Diagn
     """Diagnose runs, with what separates the explanations."""
     problem = PrinterProblem(machine, runs, NAMES)
     found = diagnose(problem)
-    return found, replace(result_of(problem, found), separations=separations(problem, found))
+    return found, DiagnosisResult(search=found, separations=separations(problem, found))
 
 
 def planned(machine: Machine, command: str) -> tuple[str, Callable[[FloatArray], FloatArray], float]:
@@ -118,4 +118,4 @@ def test_a_set_is_told_apart_by_the_recording_that_it_names(machine: Machine) ->
     found, told = asked(machine, [*runs[:2], *recorded(machine, TRUTH, [planned(machine, one.command)])])
     assert found.named is not None and found.named.names == ("belt_position_stiffness",)
     assert not found.confounded and not told.separations
-    assert told.confidence["belt_position_stiffness"] > 0.99
+    assert told.found[0].confidence > 0.99

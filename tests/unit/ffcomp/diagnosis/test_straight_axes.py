@@ -12,7 +12,7 @@ import pytest
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.result import better_file, result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.file import load_machine
@@ -94,10 +94,10 @@ def test_what_is_hidden_is_named_and_the_better_file_closes_the_gap(
     problem = PrinterProblem(machine, runs, list(dict.fromkeys([name, "command_delay"])))
     found = diagnose(problem)
     assert (found.verdict, found.named.names) == ("effects", (name,))
-    told = result_of(problem, found)
+    told = DiagnosisResult(search=found)
     said, true = (np.broadcast_to(each, 3)[:2] for each in (told.parameters(name)[key].value, truth))  # z rests
     np.testing.assert_allclose(said, true, rtol=0.15, atol=0.03)
-    text = better_file(Path(machine.path), "better", told, ["x.csv sha256:0"], "2026-11-22")
+    text = told.better_file(Path(machine.path), "better", ["x.csv sha256:0"], "2026-11-22")
     (tmp_path / "better.toml").write_text(text, encoding="utf-8")
     closed = measure_gap(load_machine(tmp_path / "better.toml"), runs)
     assert closed.residual.total.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)
@@ -113,7 +113,7 @@ def test_damping_of_the_belts_is_no_offset_of_the_sensors(tmp_path: Path) -> Non
     problem = PrinterProblem(filed(plain, "cartesian", tmp_path), recorded(replace(plain, **held)), names)
     found = diagnose(problem)
     assert found.named is not None and (found.verdict, found.named.names) == ("effects", ("belt_damping",))
-    told = result_of(problem, found)
+    told = DiagnosisResult(search=found)
     assert told.parameters("belt_damping")["share"].value == pytest.approx(share, abs=0.02)
 
 
@@ -132,7 +132,8 @@ def test_what_depends_on_the_place_is_named(
     problem = PrinterProblem(filed(plain, kind, tmp_path), runs, (name, "guide_damping"))
     found = diagnose(problem)
     assert found.named is not None and (found.verdict, found.named.names) == ("effects", (name,))
-    np.testing.assert_allclose(result_of(problem, found).parameters(name)[key].value, truth, rtol=0.05, atol=0.05)
+    told = DiagnosisResult(search=found)
+    np.testing.assert_allclose(told.parameters(name)[key].value, truth, rtol=0.05, atol=0.05)
 
 
 def test_nothing_is_said_of_the_place_where_all_is_recorded_at_one(tmp_path: Path) -> None:

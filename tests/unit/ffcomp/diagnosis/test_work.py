@@ -20,7 +20,7 @@ from ffcomp.diagnosis.observations import (
 )
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
-from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
@@ -71,10 +71,10 @@ def test_a_search_ends_at_its_budget_and_says_so() -> None:
     asked, found = searched(0.1 * MILLION)
     assert found.cut_short
     assert asked.work.steps < 0.95 * searched(None)[0].work.steps
-    told = result_of(asked, found)
-    assert told.cut_short and any("--thorough" in sentence for sentence in summary_sentences(told))
-    whole = result_of(*searched(None))
-    assert not whole.cut_short and not any("--thorough" in sentence for sentence in summary_sentences(whole))
+    told = DiagnosisResult(search=found)
+    assert any("--thorough" in sentence for sentence in summary_sentences(told))
+    whole = DiagnosisResult(search=searched(None)[1])
+    assert not any("--thorough" in sentence for sentence in summary_sentences(whole))
 
 
 # ---- search ----

@@ -19,7 +19,7 @@ from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import Gap
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import DrawnResidual, ResidualSize
+from ffcomp.diagnosis.where import ResidualSize, drawn_residual
 from ffcomp.report import diagnose as pages
 from ffcomp.report.diagnose import page_of
 from models.effects.catalogue import with_effect
@@ -79,7 +79,6 @@ class Case:
     result: dict[str, Any]
     text: str
     told: Diagnosis
-    where: DrawnResidual
 
 
 def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...], *, drawn: bool = False) -> Case:
@@ -98,7 +97,7 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
     assert answer.exit_code == 0, answer.output
     result = json.loads(answer.stdout)
-    return Case(folder, runs, result, report.read_text(encoding="utf-8"), told[0], told[0].where())
+    return Case(folder, runs, result, report.read_text(encoding="utf-8"), told[0])
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +115,6 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Case:
 def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
     monkeypatch.setattr(verb, "diagnose", lambda *_: plain.told.search)
-    monkeypatch.setattr(verb, "result_of", lambda *_: plain.told.result)
-    monkeypatch.setattr(verb, "drawn_residual", lambda *_: plain.where)
     monkeypatch.setattr(verb, "separations", lambda *_, **__: [])
 
 
@@ -170,7 +167,7 @@ def test_the_machine_file_is_whole_when_the_page_fails(
     def fails(drawing: object) -> bytes:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr(verb, "result_of", lambda *_: heavy.told.result)
+    monkeypatch.setattr(verb, "diagnose", lambda *_: heavy.told.search)
     monkeypatch.setattr("ffcomp.report.page.svg", fails)
     targets = ["-o", str(tmp_path / "better.toml"), "--report", str(tmp_path / "d.html")]
     assert str(run(heavy.runs, *targets).exception) == "no room"
@@ -197,11 +194,11 @@ def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
 
 def test_text_from_files_is_escaped(heavy: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     nasty = '"><script>alert(1)</script>$x_1$'
-    where = heavy.where
+    where = drawn_residual(heavy.told.search)
     signals = replace(where.splits[1], labels=tuple(nasty for _ in where.splits[1].labels))
     splits = (where.splits[0], signals, *where.splits[2:])
     overlays = tuple(replace(each, recording=nasty) for each in where.overlays)
-    monkeypatch.setattr(verb, "drawn_residual", lambda *_: replace(where, splits=splits, overlays=overlays))
+    monkeypatch.setattr(pages, "drawn_residual", lambda *_: replace(where, splits=splits, overlays=overlays))
     monkeypatch.setattr(verb, "separations", lambda *_, **__: [replace(PROPOSAL, command=nasty, gcode=nasty)])
     text = page_of(heavy.told).html(heavy.told.answer).decode()
     assert "alert(1)" in text and "<script" not in text
