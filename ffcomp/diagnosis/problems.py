@@ -131,19 +131,17 @@ def _another_command(first: Recorded, recording: Recorded) -> str:
 
 
 def check_repeats(recordings: Sequence[Recorded]) -> None:
-    """Refuse recordings without repeats, because the noise would be a guess, and repeats that are none.
+    """Refuse recordings without repeats, because the noise would be a guess.
 
     Raises
     ------
     MeasurementError
     """
-    check_alike(recordings)
-    kinds = [(recording.repeat_of, len(recording.time_s)) for recording in recordings]
-    if any(kinds.count(kind) > 1 for kind in kinds):
+    lengths: dict[str, dict[str, int]] = {}
+    for each in recordings:
+        lengths.setdefault(each.repeat_of, {})[Path(each.source).name] = len(each.time_s)
+    if any(len(set(rows.values())) < len(rows) for rows in lengths.values()):
         return
-    named = ", ".join(Path(recording.source).name for recording in recordings[:3]) + (
-        " …" if len(recordings) > 3 else ""
-    )
     rule = (
         f"None of the {len(recordings)} recordings repeats another, but only repeats show how large the noise is: at "
         "least one experiment must be there twice, in files of the same length whose names differ in a trailing -1, -2 "
@@ -151,7 +149,11 @@ def check_repeats(recordings: Sequence[Recorded]) -> None:
     )
     if all(isinstance(each, AxisRun) and each.by_force for each in recordings):
         rule += " On an axis driven by a force, an encoder's position shows it too."
-    raise MeasurementError(named, [rule + _lengths(recordings)])
+    if several := next((rows for rows in lengths.values() if len(rows) > 1), None):
+        rows = ", ".join(f"{name} {count}" for name, count in several.items())
+        rule += f" These are named as repeats, but differ in length (rows): {rows}. Cut them to the same."
+    names = [Path(each.source).name for each in recordings]
+    raise MeasurementError(", ".join(names[:3]) + (" …" if len(names) > 3 else ""), [rule])
 
 
 def check_repeating(repeats: Sequence[Repeats]) -> None:
@@ -164,13 +166,3 @@ def check_repeating(repeats: Sequence[Repeats]) -> None:
     differing = [each for each in repeats if each.differ]
     if differing:
         raise MeasurementError(differing[0].files[0], [each.trouble() for each in differing])
-
-
-def _lengths(recordings: Sequence[Recorded]) -> str:
-    """Say which lengths the repeats by name have, in a sentence; '' if there are none."""
-    for recording in recordings:
-        repeats = [other for other in recordings if other.repeat_of == recording.repeat_of]
-        if len(repeats) > 1:
-            rows = ", ".join(f"{Path(other.source).name} {len(other.time_s)}" for other in repeats)
-            return f" These are named as repeats, but differ in length (rows): {rows}. Cut them to the same."
-    return ""
