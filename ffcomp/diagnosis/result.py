@@ -133,15 +133,6 @@ class Nearest:
     because: Sequence[str]
 
 
-@dataclass(frozen=True)
-class PrintGain:
-    """Predicted contour errors of the sample, rms in µm, on the printer as the diagnosis found it."""
-
-    uncompensated_um: float
-    before_um: float  # compensated with the original file
-    after_um: float  # with the better file
-
-
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DiagnosisResult:
     """The contents of the answer and of the better machine file; the best hypothesis even if it was rejected.
@@ -150,7 +141,6 @@ class DiagnosisResult:
     ----------
     search : everything that the verdict rests on
     separations : what to record, to separate explanations that fit as well
-    print_gain : what prints gain by the better machine file; None: not predicted
     """
 
     json_keys: ClassVar = keys(
@@ -164,7 +154,6 @@ class DiagnosisResult:
         cut_short="search.cut_short",
         gap="gap",
         effects="found",
-        print_gain="print_gain",
         residual_curves="curves",
         retuned="retuned",
         separate="separations",
@@ -178,7 +167,6 @@ class DiagnosisResult:
 
     search: Diagnosis
     separations: Sequence[Separation] = ()
-    print_gain: PrintGain | None = None
 
     @property
     def problem(self) -> Problem:

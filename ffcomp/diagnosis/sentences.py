@@ -251,15 +251,12 @@ def _first_of(names: Sequence[str], table: Mapping[str, Any]) -> str:
 
 
 def _afterwards(result: DiagnosisResult) -> Iterator[str]:
-    gap, gain = result.gap, result.print_gain
+    gap = result.gap
     if gap.left_out == "windows":
         yield COMPARE
         return
     yield (
-        "Until then, compensate with the original file: with the better one the sample print is predicted to be worse. "
-        "Compare the better machine file (-o better.toml) with new recordings."
-        if gain is not None and gain.after_um > gain.before_um
-        else "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings "
+        "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings "
         "(ffcomp gap)."
     )
     if gap.left_out != "places":

@@ -8,35 +8,23 @@ from dataclasses import dataclass, replace
 from datetime import date
 from math import inf
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, cast
 
-from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.request import CompensateOptions
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.next_experiment import Separation, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problems import check_recordings, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import DiagnoseRequest
-from ffcomp.diagnosis.result import DiagnosisResult, PrintGain
+from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.trace import Trace
-from ffcomp.diagnosis.words import digits
-from ffcomp.errors import FfcompError
 from ffcomp.identification.machine_fit import hash_of
-from ffcomp.inverse.model import GEOMETRY
 from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
 from ffcomp.result import Fact, Result
-from ffcomp.simulation.request import SimulateRequest
-from ffcomp.simulation.simulation import read_command, simulate_command
 from gcode.atomic_write import replace_atomically
-from gcode.errors import GcodeError
-from models.effects.catalogue import CATALOGUE
-from models.errors import MachineFileError
 from models.file import check_text
-from models.machine import Machine, with_values
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -71,7 +59,7 @@ class Diagnosis(DiagnosisResult, Result):
     @property
     def facts(self) -> list[Fact]:
         """The effects' parameters, the gap before and after, and what was written."""
-        gap, gain = self.gap, self.print_gain
+        gap = self.gap
         facts = [
             (f"{name}.{key}", f"{_digits(e.value)} (90 %: {_digits(e.low)} to {_digits(e.high)})")
             for name in self.named
@@ -80,9 +68,6 @@ class Diagnosis(DiagnosisResult, Result):
         left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
         facts.append(("Disagreement", left))
         facts += [("Not explained", curve.sentence) for curve in self.curves[:1]]
-        if gain is not None:
-            errors = f"{digits(gain.before_um, 2)} → {digits(gain.after_um, 2)} µm rms with the better file"
-            facts.append(("A sample print", f"{errors}, {digits(gain.uncompensated_um, 2)} without compensation"))
         return facts if self.output is None else [*facts, ("Better file", str(self.output))]
 
     @property
@@ -148,60 +133,10 @@ def diagnose_request(request: DiagnoseRequest, search_progress: Progress | None 
     if request.trace is not None:
         trace.write(request.trace)
     diagnosis = Diagnosis(search=search, runs=runs)
-    if isinstance(problem := diagnosis.problem, PrinterProblem):  # one axis takes no G-code, prints nothing
-        gain = print_gain(plant, diagnosis)
-        diagnosis = replace(diagnosis, separations=separations(problem, search), print_gain=gain)
+    if isinstance(problem := diagnosis.problem, PrinterProblem):  # one axis takes no G-code
+        diagnosis = replace(diagnosis, separations=separations(problem, search))
     output = Path(request.output) if request.output is not None and diagnosis.mends else None
     diagnosis = replace(diagnosis, output=output, seconds=time.monotonic() - began)
     if output is not None:
         replace_atomically(output, [diagnosis.file_text().encode()])
     return diagnosis
-
-
-# ---- what prints gain --------------------------------------------------------------------------------
-
-
-def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:
-    """Predict the gain; None without a machine's effect, or where the sample cannot be printed on this machine.
-
-    Nor where the geometry is found to be another: prints are then off by what calibration takes out.
-    """
-    if result.verdict != "effects" or all(CATALOGUE[name].kind == "sensor" for name in result.effects):
-        return None
-    if GEOMETRY in result.effects:
-        return None
-    retuned = with_values(machine, {key: each.fitted for key, each in result.retuned.items()})
-    better = replace(retuned, effects={**machine.effects, **result.effects})
-    with TemporaryDirectory() as folder:
-        sample = Path(folder) / "sample.gcode"
-        sample.write_text(sample_print(), encoding="ascii")
-        try:
-            plain = _contour_um(sample, better, better)
-            before, after = (_contour_um(_compensated(sample, m), m, better) for m in (machine, better))
-        except (FfcompError, GcodeError, MachineFileError):
-            return None
-    return PrintGain(plain, before, after)
-
-
-def _compensated(sample: Path, machine: Machine) -> Path:
-    target = sample.with_suffix(".out.gcode")
-    target.unlink(missing_ok=True)
-    compensate_file(sample, sample.name, machine, CompensateOptions(predict=False, robust="off"), target)
-    return target
-
-
-def _contour_um(file: Path, believed: Machine, true: Machine) -> float:
-    command, _ = read_command(file, believed, (0.0, 0.0), "")
-    return simulate_command(SimulateRequest(file, believed), command, believed, true).track.contour_rms_um
-
-
-def sample_print() -> str:
-    """Return the sample's G-code: squares of 24 and 16 mm, and eight lines of 12 mm, 1.5 mm apart, at 100 mm/s."""
-    lines = ["G28", "G90", "M83", "G1 X-12 Y-12 Z0.3 F6000"]
-    for half in (12.0, 8.0):
-        for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)):
-            lines.append(f"G1 X{x * half:g} Y{y * half:g} E{half / 15:.3f}")
-    for i in range(8):
-        at, side = 1.5 * i - 6.0, 6.0 * (-1) ** i
-        lines += [f"G1 X{at:g} Y{-side:g} E0.05", f"G1 X{at:g} Y{side:g} E0.4"]
-    return "\n".join(lines) + "\n"

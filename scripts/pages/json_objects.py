@@ -22,7 +22,7 @@ import numpy as np
 
 from ffcomp.comparison.result import EqualQuality, Error, Method
 from ffcomp.compensation.result import Failure
-from ffcomp.diagnosis.result import Interval, Nearest, PartlyExplained, PrintGain
+from ffcomp.diagnosis.result import Interval, Nearest, PartlyExplained
 from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.estimation.statistics import Spent, Statistics
 from ffcomp.identification.frf_study import Bode
@@ -55,7 +55,6 @@ SHARED: dict[type, str] = {
     Interval: "INTERVAL",
     Nearest: "REFUSED",
     PartlyExplained: "DOMINANT",
-    PrintGain: "GAIN",
     Plan: "ffcomp-moves/1",
     Failure: "FAILED",
 }
