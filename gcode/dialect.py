@@ -29,6 +29,9 @@ class Dialect:
     commands: str  # whose own commands it has: a key of `gcode.commands.OWN_EFFECTS`
     shaper_command: bytes
     shaper_off: bytes  # empty: the command names axes
+    shaper_on: tuple[str, ...]  # lines that set one, with {name}, {x} and {y} in Hz, and {damping}
+    shapers: Mapping[str, str]  # its shapers' {name} by their names in `ffcomp.shapers`
+    shapes_axes: bool = True  # its shaper has a frequency for x and one for y; else one for both
     jerk: tuple[str, str] = ("", "")  # command that sets jerk, and its axes; empty: limits are not set by axes
     per_minute: frozenset[str] = frozenset()  # commands that set speeds in mm/min
     refuses: bool = True  # offsets and conditions that are not followed; else such a word is a macro or a message
@@ -51,6 +54,11 @@ DIALECTS: Mapping[str, Dialect] = {
             KLIPPER,
             b"SET_INPUT_SHAPER",
             b"",
+            (
+                "SET_INPUT_SHAPER SHAPER_TYPE_X={name} SHAPER_FREQ_X={x:.1f} DAMPING_RATIO_X={damping:g} "
+                "SHAPER_TYPE_Y={name} SHAPER_FREQ_Y={y:.1f} DAMPING_RATIO_Y={damping:g}",
+            ),
+            {name: name for name in ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")},
             refuses=False,
             g18_axes="XZ",  # a mirrored arc
             g91_makes_e_relative=True,
@@ -64,7 +72,9 @@ DIALECTS: Mapping[str, Dialect] = {
             MARLIN,
             b"M593",
             b"M593 F0",
-            ("M205", "XY"),
+            ("M593 X F{x:.1f} D{damping:g}", "M593 Y F{y:.1f} D{damping:g}"),
+            {"zv": ""},
+            jerk=("M205", "XY"),
             g90_sets_e=True,
             bare_words=BareWords.OPTIONAL,
         ),
@@ -74,8 +84,11 @@ DIALECTS: Mapping[str, Dialect] = {
             REPRAPFIRMWARE,
             b"M593",
             b'M593 P"none"',
-            ("M566", "XYZ"),
-            frozenset({"M203", "M566"}),
+            ('M593 P"{name}" F{x:.1f} S{damping:g}',),
+            {"mzv": "mzv", "zvd": "zvd", "zvdd": "zvdd", "zvddd": "zvddd", "2hump_ei": "ei2", "3hump_ei": "ei3"},
+            shapes_axes=False,
+            jerk=("M566", "XYZ"),
+            per_minute=frozenset({"M203", "M566"}),
             obeys_whole_line=True,
             kept_positions=True,
         ),

@@ -215,6 +215,19 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
     return [dialect.shaper_off + b"\n"]
 
 
+def shaper_on(flavor: str, kind: str, hz: tuple[float, float], damping: float) -> list[bytes]:
+    """Lines that set the firmware's own input shaper.
+
+    Parameters
+    ----------
+    kind : of `Dialect.shapers`
+    hz : of x and y; RepRapFirmware has one frequency, that of x
+    """
+    dialect = DIALECTS[flavor]
+    words = {"name": dialect.shapers[kind], "x": hz[0], "y": hz[1], "damping": damping}
+    return [f"{line.format(**words)}\n".encode() for line in dialect.shaper_on]
+
+
 def limit_number(value: float) -> str:
     """Return a limit with three decimals at most."""
     return f"{value:.3f}".rstrip("0").rstrip(".")

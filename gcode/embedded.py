@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple
 
+from gcode.dialect import DIALECTS
 from gcode.errors import UnsupportedGcode
 from gcode.metadata import Timed, with_time
 from gcode.text import whole_lines
@@ -20,7 +21,9 @@ from gcode.text import whole_lines
 STAMP_REACH = 1 << 20  # bytes at either end that are searched for a stamp
 WITHOUT_ORIGINAL = b"; ffcomp original=none"  # in a file without the original moves
 FORECAST = b"; ffcomp forecast="  # in the tail: the predicted errors, one JSON object
-STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", FORECAST, WITHOUT_ORIGINAL  # how these lines begin
+SHAPER = b"; ffcomp shaper="  # in the head: the print is as sliced, through this shaper of the firmware
+STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", FORECAST, SHAPER, WITHOUT_ORIGINAL  # how these lines begin
+_OF_SHAPER = tuple({each.shaper_command for each in DIALECTS.values()})
 
 _STAMP = re.compile(
     rb"^; Processed by ffcomp v(\S+), machine (.*) sha256:([0-9a-f]+), flavor (\w+)[ \t]*\r?$", re.MULTILINE
@@ -63,6 +66,17 @@ def find_offset(head: bytes) -> tuple[float, float]:
     """Read the offset that `offset_line` wrote; zero if it wrote none."""
     match = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
     return (float(match[1]), float(match[2])) if match else (0.0, 0.0)
+
+
+def shaper_line(kind: str, hz: tuple[float, float]) -> bytes:
+    """Return a comment with the shaper of a print as sliced, and its frequencies for x and y."""
+    return SHAPER + b"%b,%.6g,%.6g\n" % (kind.encode(), *hz)
+
+
+def find_shaper(head: bytes) -> tuple[str, tuple[float, float]] | None:
+    """Read the shaper that `shaper_line` wrote; None: the moves are ffcomp's own."""
+    match = re.search(rb"^; ffcomp shaper=(\w+),([.\d]+),([.\d]+)", head, re.MULTILINE)
+    return (match[1].decode(), (float(match[2]), float(match[3]))) if match else None
 
 
 def find_forecast_text(tail: bytes) -> bytes:
@@ -138,6 +152,8 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
         elif (kept := noted(line)) is not None:
             yield kept
         elif is_ours(line):
+            if line.startswith(_OF_SHAPER):  # it opens no block
+                continue
             inside = (inside or not line.startswith(b"G")) and not line.startswith(b"G1 F")
         elif not line.startswith(STAMPS) and not (inside and line.startswith(b"G1 ")):
             yield line if time is None else with_time(line, time)

@@ -199,7 +199,7 @@ def rows(name: str, printed: str, counts: tuple[int, int]) -> Iterator[dict[str,
     """Yield the rows of a print: linear printers, then the others."""
     machine = load_machine(name)
     slices = slices_of(machine, printed)
-    shapers = tuned_shapers(machine, pieces(slices, machine, COMPENSATED))
+    shapers = tuned_shapers(machine, pieces(slices, machine, COMPENSATED), "klipper")
     for sd in SDS:
         believed = replace(machine, uncertainty={"default": sd})
         plain, robust = (pieces(slices, believed, kind) for kind in (COMPENSATED, ROBUST))
@@ -217,7 +217,7 @@ def rows(name: str, printed: str, counts: tuple[int, int]) -> Iterator[dict[str,
                 "print": printed,
                 "sd": sd,
                 "printers": kind,
-                "shaper": shaper.partition(",")[0],
+                "shaper": shaper.kind.upper(),
                 "exact_um": exact,
                 **{
                     f"{who}_{what}_um": of(errors)

@@ -245,7 +245,7 @@ def _expected(method: TunedMethod, slices: Sequence[PrintSlice]) -> Expectation 
     for each in slices:
         if sum(piece.seconds for piece in pieces) < EXCERPT_S:
             pieces += pieces_of(each.motion, method.motion(each)[0], each.corners)
-    return expectation(slices[0].machine, pieces)
+    return expectation(slices[0].machine, pieces, slices[0].flavor)
 
 
 # ---- result ----------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from ffcomp.compensation import chunks
 from ffcomp.compensation.chunks import Chunk, Splitting, split_chunks
 from ffcomp.compensation.gcode_writer import GcodeRenderer
-from ffcomp.compensation.own_shaper import OwnShaper, own_shaper, with_shaper_off
+from ffcomp.compensation.own_shaper import OwnShaper, own_shaper, shaper_set, with_shaper_off, with_shaper_set
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensation.plan import Context, plan_chunk
 from ffcomp.compensation.prediction import LONGEST_S
@@ -25,7 +25,7 @@ from ffcomp.compensation.result import FileSize, Result
 from ffcomp.compensation.solve import replanner_of
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
-from ffcomp.compensation.text_stream import in_order, stamped, with_times_retold
+from ffcomp.compensation.text_stream import in_order, stamped, unless, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.firmware.program import firmware_plan, read_as_planned
@@ -40,20 +40,31 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.request import shared_with
+from ffcomp.simulation.expectation import Tuned
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
-from gcode.embedded import WITHOUT_ORIGINAL, find_offset, joined, offset_line, original_blocks, stamp_line
+from gcode.embedded import (
+    WITHOUT_ORIGINAL,
+    find_offset,
+    joined,
+    offset_line,
+    original_blocks,
+    shaper_line,
+    stamp_line,
+)
 from gcode.metadata import Timed, filament_change_s
 from gcode.program import Moves, Program
+from gcode.text import whole_lines
 from models.machine import Machine
 
 ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 
+AS_SLICED = RobustChoice(False, "None: the print is as sliced.")
 MERGED_SHARE = 0.1  # of a bound, that joined segments may miss their path by
 
 
@@ -91,15 +102,14 @@ class Job:
             lines = Lines(self, progress)
             for _ in lines.of(self.outputs(reach, StepStream(sink)), reach):
                 pass  # steps are no text
-            predicted = _forecast(lines.statistics, self.machine)
+            predicted = self.forecast(lines.statistics)
             totals = sink.finish()
-        result = self.result(lines, time.perf_counter() - started, predicted)
-        return replace(result, steps=totals, shaper=None)
+        return replace(self.result(lines, time.perf_counter() - started, predicted), steps=totals, shaper=None)
 
     def result(self, lines: Lines, seconds: float, predicted: Forecast) -> Result:
         """Save the model's tables for the next print, and return the result after so many seconds of work."""
         self.model.save_cache()
-        return Result(
+        result = Result(
             self.path,
             self.machine,
             self._flavor_choice,
@@ -112,6 +122,30 @@ class Job:
             shaper=self.shaper,
             forecast=predicted,
         )
+        expected = predicted.expected
+        if expected is None or not expected.shaper_written:
+            return result
+        moves, planned_s = lines.statistics.moves, lines.statistics.original_print_time_s
+        statistics = replace(self.at_first(), moves=moves, original_print_time_s=planned_s, print_time_s=planned_s)
+        shaper = shaper_set(self.shaper, expected.tuned)
+        return replace(result, statistics=statistics, embedded=True, robust=AS_SLICED, shaper=shaper)
+
+    def forecast(self, statistics: Statistics) -> Forecast:
+        """Evaluate the sections that were sampled for the prediction."""
+        samples = statistics.predicted
+        return NO_FORECAST if samples is None else forecast(lambda: samples.forecast(self.machine, self.flavor))
+
+    @property
+    def may_shape(self) -> bool:
+        """Whether the print may go out as sliced, through the firmware's own shaper, where that leaves less."""
+        asked = self.request.robust != "auto" or self.bound is not None or self.inverse is not None
+        has_one = self.shaper.state == "off" and self.shaper.on and FIRMWARES[self.flavor].shapers(self.machine)
+        return bool(has_one) and not asked and not any(self.offset)
+
+    def through_shaper(self, tuned: Tuned) -> Iterator[bytes]:
+        """Return the print as sliced, through the firmware's own shaper."""
+        blocks = blocks_of(self.source)
+        return with_shaper_set(whole_lines(original_blocks(blocks) if self.restore else blocks), self.shaper, tuned)
 
     def _sink(self, target: Path) -> StepSink | MotionSink:
         kind = self.request.kind
@@ -300,8 +334,16 @@ class Lines:
 
         def at_end() -> bytes:
             nonlocal predicted
-            predicted = _forecast(self.statistics, job.machine)
+            predicted = job.forecast(self.statistics)
             return predicted.line()
+
+        def as_sliced() -> Iterator[bytes] | None:
+            nonlocal predicted
+            if (expected := predicted.expected) is None or not expected.shaper_is_better:
+                return None
+            predicted = predicted.as_sliced(job.machine)
+            text = job.through_shaper(expected.tuned)
+            return stamped(text, stamp, shaper_line(*expected.tuned), predicted.line)
 
         reach = Reach(job.machine.kinematics)
         pieces = with_times_retold(self.of(job.outputs(reach), reach), planned_s, embed=embed)
@@ -310,7 +352,8 @@ class Lines:
         stamp = stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
         notes = offset_line(job.offset) + (b"" if embed else WITHOUT_ORIGINAL + b"\n")
         written = 0
-        for piece in stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end):
+        lines = stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end)
+        for piece in unless(lines, as_sliced, self._folder) if job.may_shape else lines:
             written += len(piece)
             yield piece
         self.size = replace(self.size, written=written)
@@ -345,9 +388,3 @@ def _work(chunk: Chunk, context: Context) -> Output:
     context.model.save_cache()
     text = list(joined(chain.from_iterable(output.text for output in outputs)))
     return Output(text, sum((output.statistics for output in outputs), Statistics()), chunk.program.size)
-
-
-def _forecast(statistics: Statistics, machine: Machine) -> Forecast:
-    """Evaluate the sections that were sampled for the prediction."""
-    samples = statistics.predicted
-    return NO_FORECAST if samples is None else forecast(lambda: samples.forecast(machine))

@@ -1,25 +1,32 @@
 """The firmware's own input shaper: off while a compensated print runs, on again after the print's last segment.
 
 Two compensations disturb each other. The machine file holds the commands that switch the shaper on
-(`[firmware] input_shaper`, which an import fills in); a print may hold some of its own.
+(`[firmware] input_shaper`, which an import fills in); a print may hold some of its own. Where the shaper is expected to
+leave less than our command, the print goes out as sliced and sets it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from ffcomp.compensation.text_stream import Later, Text
+from ffcomp.shapers import DAMPING_RATIO
+from ffcomp.simulation.expectation import Tuned
 from gcode.dialect import DIALECTS
-from gcode.dialects import shaper_commands, shaper_off
-from gcode.embedded import OURS
+from gcode.dialects import shaper_commands, shaper_off, shaper_on
+from gcode.embedded import OURS, WAS, like_ours
 from models.machine import Machine
 
-State = Literal["off", "kept", "none", "unknown"]
+State = Literal["off", "set", "kept", "none", "unknown"]
 
 OFF = "The firmware's input shaper is off during this print and on again at its end. After a cancelled print: {on}."
+SET = (
+    "The firmware's input shaper is {name} during this print, and as before at its end. After a cancelled print: {on}. "
+    "ffcomp's own command: --robust on."
+)
 STAYS_OFF = (
     "The firmware's input shaper is switched off and stays off after the print: the machine file has no "
     "input_shaper in [firmware] to switch it on again."
@@ -39,6 +46,11 @@ class OwnShaper:
     reason: str  # a sentence; empty: there is no shaper
     flavor: str
     on: tuple[bytes, ...] = ()  # lines that switch it on as the firmware has it
+
+    @property
+    def command(self) -> bytes:
+        """The firmware's command that sets it."""
+        return DIALECTS[self.flavor].shaper_command
 
     @property
     def warnings(self) -> list[str]:
@@ -65,6 +77,44 @@ def own_shaper(keep: bool | None, machine: Machine, flavor: str) -> OwnShaper:
     return OwnShaper("unknown", UNKNOWN, flavor) if lines is None else OwnShaper("none", "", flavor)
 
 
+def shaper_set(shaper: OwnShaper, tuned: Tuned) -> OwnShaper:
+    """Set a shaper for a print as sliced, in place of the firmware's own setting."""
+    on = ", ".join(line.decode().rstrip() for line in shaper.on)
+    return replace(shaper, state="set", reason=SET.format(name=tuned.name, on=on))
+
+
+def with_shaper_set(parts: Iterable[bytes], shaper: OwnShaper, tuned: Tuned) -> Iterator[bytes]:
+    """Yield a print as sliced: the shaper is set before its first move, and restored after its last line.
+
+    It is set again where the print sets one of its own, which is then restored at the end.
+
+    Parameters
+    ----------
+    parts : of whole lines
+    """
+    command = rb"(?i)[ \t]*(?:N\d+[ \t]*)?%b"
+    moves, sets_it = (re.compile(command % each) for each in (rb"G0?[0-3]\b[^;]*[XY]", shaper.command + rb"\b"))
+    setting = shaper_on(shaper.flavor, tuned.kind, tuned.hz, DAMPING_RATIO)
+    on, begun, kept = list(shaper.on), False, b""
+    for line in (line for part in parts for line in part.splitlines(keepends=True)):
+        yield kept
+        if not begun and moves.match(line):
+            begun = True
+            yield ours(setting, line)
+        kept = WAS + line if like_ours(line) else line
+        if sets_it.match(line):
+            on.append(line)
+            kept += ours(setting if begun else (), line)
+    back = ours([*shaper_off(shaper.flavor, on), *on], kept)
+    yield kept + back if kept.endswith((b"\n", b"\r")) else back + kept
+
+
+def ours(lines: Iterable[bytes], like: bytes = b"") -> bytes:
+    """Mark lines as ours; they end like another one."""
+    ending = b"\r\n" if like.endswith(b"\r\n") else b"\n"
+    return b"".join(line.rstrip() + OURS + ending for line in lines)
+
+
 def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
     """Switch the firmware's shaper off where our first block opens, and on again after our last line.
 
@@ -75,14 +125,10 @@ def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
     ----------
     pieces : of whole lines
     """
-    command = DIALECTS[shaper.flavor].shaper_command
+    command = shaper.command
     sets_it = re.compile(rb"(?im)^[ \t]*%b\b[^\n]*(?:\n|\Z)" % command)
-    on, is_on, was_off, ending = list(shaper.on), shaper.state == "off", False, b"\n"
+    on, is_on, was_off, last = list(shaper.on), shaper.state == "off", False, b""
     restored = Later()  # after our last line
-
-    def ours(lines: Sequence[bytes]) -> bytes:
-        return b"".join(line.rstrip() + OURS + ending for line in lines)
-
     for piece in pieces:
         if isinstance(piece, Later):
             yield piece
@@ -93,12 +139,12 @@ def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
             if OURS in text:
                 begin = text.rfind(b"\n", 0, text.find(OURS)) + 1
                 end = text.find(b"\n", text.rfind(OURS)) + 1 or len(text)
-                ending = b"\r\n" if text[begin:end].endswith(b"\r\n") else b"\n"
+                last = text[begin:end]
                 yield text[:begin]
                 if is_on:
-                    yield ours(shaper_off(shaper.flavor, on))
+                    yield ours(shaper_off(shaper.flavor, on), last)
                 is_on, was_off = False, was_off or is_on
-                yield text[begin:end]
+                yield last
                 restored.text, restored = b"", Later()
                 yield restored
                 text = text[end:]
@@ -107,4 +153,4 @@ def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
                 at, is_on = own.end(), True
                 on.append(own[0])
                 yield own[0]
-    restored.text = ours(on) if was_off and not is_on else b""
+    restored.text = ours(on, last) if was_off and not is_on else b""

@@ -59,8 +59,8 @@ class Samples:
         sections, pieces = self.sections + later.sections, self.pieces + later.pieces
         return Samples(self.sample_s, sections, peaks, pieces, self.failed or later.failed)
 
-    def forecast(self, machine: Machine) -> Forecast:
-        """Evaluate the sampled sections of a print for a machine."""
+    def forecast(self, machine: Machine, flavor: str) -> Forecast:
+        """Evaluate the sampled sections of a print for a machine and a firmware."""
         if self.failed or not self.sections:
             return Forecast(failed=self.failed)
         # one after the other in space too: only differences count, and a jump between runs would look like an error
@@ -85,7 +85,7 @@ class Samples:
             )
             for name, actual, peak in zip(WAYS, (before, after), self.peaks, strict=True)
         }
-        return Forecast(tracks, covered_s, expected=expectation(machine, self.pieces))
+        return Forecast(tracks, covered_s, expected=expectation(machine, self.pieces, flavor))
 
 
 class Prediction:

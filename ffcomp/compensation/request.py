@@ -102,7 +102,7 @@ class CompensateOptions(Request):
         Literal["auto", "on", "off"],
         Option(
             "Minimise the expected contour error over the machine file's uncertainties; auto: where its [uncertainty] "
-            "makes it pay.",
+            "makes it pay; where the firmware's own shaper leaves less, set it.",
             ACCURACY,
             metavar="WHEN",
             label="Robust to what the machine file does not know",

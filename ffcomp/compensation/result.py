@@ -334,8 +334,9 @@ class CompensatedFile(VerbResult):
             yield "Peak acceleration of a motor", "{:.1f} → {:.1f} m/s²".format(*peaks)
         was_s, now_s = numbers.original_print_time_s, numbers.print_time_s
         yield "Print time", f"{clock(now_s)}, was {clock(was_s)} ({100 * (now_s / max(was_s, 1e-9) - 1):+.1f} %)"
-        path, filament = percent(numbers.shares.path), percent(numbers.shares.filament)
-        yield "Compensated", f"{path} of the path, {filament} of the filament"
+        if result.shaper is None or result.shaper.state != "set":
+            path, filament = percent(numbers.shares.path), percent(numbers.shares.filament)
+            yield "Compensated", f"{path} of the path, {filament} of the filament"
         if result.faster is not None:
             yield "Faster", faster_line(result.faster)
             yield "Time limited by", limits_in_words(result.faster.limited_by)
@@ -353,7 +354,7 @@ class CompensatedFile(VerbResult):
             yield name, "" if said else reason.removeprefix(f"{name}: ")
         if result.steps:
             yield "Steps", ", ".join(f"{motor.upper()} {total.steps}" for motor, total in result.steps.items())
-        elif result.steps is None:
+        elif result.steps is None and numbers.segments:
             yield "Segments", f"{numbers.segments} for {numbers.moves} moves; the file is {result.size}"
         yield "Took", f"{result.compute_time_s:.1f} s"
 

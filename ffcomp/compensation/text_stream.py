@@ -53,6 +53,16 @@ def in_order(pieces: Text, folder: Path | None = None) -> Iterator[bytes]:
         yield from _released(held, waiting)
 
 
+def unless(
+    pieces: Iterable[bytes], instead: Callable[[], Iterator[bytes] | None], folder: Path | None
+) -> Iterator[bytes]:
+    """Yield pieces once all of them are made, or others that are chosen then; None: the pieces."""
+    with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:
+        held.writelines(pieces)
+        others = instead()
+        yield from _released(held, ()) if others is None else others
+
+
 def _released(held: IO[bytes], waiting: Sequence[tuple[int, Later]]) -> Iterator[bytes]:
     held.seek(0)
     for until, later in waiting:

@@ -6,7 +6,7 @@ executes segments exactly as written.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple, Protocol
@@ -140,6 +140,10 @@ class Firmware(Protocol):
     def longest_part_s(self, machine: Machine) -> float:
         """Return how much motion may be read at a time, s: less where the firmware cuts moves into many."""
         return inf
+
+    def shapers(self, machine: Machine) -> Collection[str]:
+        """Return the input shapers that it has on a machine, by their names in `ffcomp.shapers`."""
+        return DIALECTS[self.flavor].shapers
 
     def assumed(self, machine: Machine) -> str:
         """Say which settings of the planner are assumed; empty: none that matter."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import inf
 
 from ffcomp.firmware.base import FileLimits, Firmware, Segments
@@ -50,6 +51,10 @@ class Marlin(Firmware):
     def longest_part_s(self, machine: Machine) -> float:
         """Return PART_S on deltas."""
         return PART_S if on_delta(machine) else inf
+
+    def shapers(self, machine: Machine) -> Collection[str]:
+        """Return ZV, but on deltas, where Marlin has none."""
+        return () if on_delta(machine) else super().shapers(machine)
 
     def assumed(self, machine: Machine) -> str:
         """Say which settings that matter are Marlin's defaults."""

@@ -16,6 +16,7 @@ import numpy as np
 from ffcomp.firmware.program import PlannedProgram
 from ffcomp.metrics import EFFORT_SPAN_S, peaks, progress_in_order
 from ffcomp.planner.trajectory import Trajectory
+from ffcomp.shapers import Shaper, shape
 from gcode.embedded import section_times
 from gcode.errors import GcodeError
 from gcode.program import Program
@@ -116,10 +117,19 @@ class Motion:
         return command_peaks(self.actuators(machine), self.begin_t, self.end_t)
 
 
-def motion_of(trajectory: Trajectory, clock: SectionClock) -> Motion:
-    """Execute a plan as it stands."""
+def motion_of(trajectory: Trajectory, clock: SectionClock, by_axis: Sequence[Shaper] = ()) -> Motion:
+    """Execute a plan as it stands, or through shapers of x and y."""
     begin, end = float(trajectory.start_t[0]), trajectory.end_t
-    return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
+    return Motion(resting(lambda t: trajectory.position(t)[:, :3], begin, end, by_axis), begin, end, clock)
+
+
+def resting(position: OfTime, begin_s: float, end_s: float, by_axis: Sequence[Shaper]) -> OfTime:
+    """Return a position that rests before and after two times, through shapers of x and y."""
+
+    def rests(t: FloatArray) -> FloatArray:
+        return position(np.clip(t, begin_s, end_s))
+
+    return (lambda t: shape(rests, t, *by_axis)) if by_axis else rests
 
 
 def reference_clock(trajectory: Trajectory) -> SectionClock:

@@ -7,7 +7,7 @@ them, so the staircase is the command rounded to them, neither early nor late, n
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -16,6 +16,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
+from ffcomp.shapers import Shaper
 from ffcomp.simulation.command import (
     Command,
     CommandSection,
@@ -24,11 +25,13 @@ from ffcomp.simulation.command import (
     SectionClock,
     path_corners_with_rests,
     reference_clock,
+    resting,
     section_clock,
 )
+from ffcomp.simulation.expectation import Tuned
 from ffcomp.simulation.linear import continuous_intervals
 from ffcomp.steps.archive import MOTORS, MotorSteps, StepsError
-from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
+from gcode.embedded import STAMP_REACH, already_processed, find_offset, find_shaper, original
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import FloatArray
@@ -59,8 +62,12 @@ def read_gcode(
     program = read_program(data, path, flavor=stamp.flavor, **firmware)
     offset = find_offset(data[:STAMP_REACH])
     reference = read_program(original(data), path, offset_mm=offset, flavor=stamp.flavor, **firmware)
-    executed = plan_program(inside(program), machine)
-    return compensated_command(executed, plan_program(inside(reference), machine), machine), program
+    executed, planned = (plan_program(inside(each), machine) for each in (program, reference))
+    if (shaper := find_shaper(data[:STAMP_REACH])) is not None:
+        plan = planned.trajectory
+        clock, by_axis = reference_clock(plan), Tuned(*shaper).by_axis()
+        return _command(executed.trajectory, plan, clock, machine, ORIGINAL, by_axis), program
+    return compensated_command(executed, planned, machine), program
 
 
 def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:
@@ -76,10 +83,15 @@ def compensated_command(compensated: PlannedProgram, original: PlannedProgram, m
 
 
 def _command(
-    executed: Trajectory, reference: Trajectory, clock: SectionClock, machine: Machine, description: str
+    executed: Trajectory,
+    reference: Trajectory,
+    clock: SectionClock,
+    machine: Machine,
+    description: str,
+    by_axis: Sequence[Shaper] = (),
 ) -> Command:
     intervals = continuous_intervals(executed)
-    sections = [_section(executed, begin, end, reference, clock, machine) for begin, end in intervals]
+    sections = [_section(executed, begin, end, reference, clock, machine, by_axis) for begin, end in intervals]
     return Command(sections, "cubic", description)
 
 
@@ -90,13 +102,16 @@ def _section(
     reference: Trajectory,
     clock: SectionClock,
     machine: Machine,
+    by_axis: Sequence[Shaper],
 ) -> CommandSection:
     kinematics = machine.kinematics.compiled()
     last = np.nextafter(end_s, -np.inf)  # at the end itself the next section may have begun
     path_t, path = path_corners_with_rests(reference)
 
+    position = resting(lambda t: executed.position(t)[:, :3], begin_s, float(last), by_axis)
+
     def actuators(t: FloatArray) -> FloatArray:
-        return kinematics.inverse(np.ascontiguousarray(executed.position(np.clip(t, begin_s, last))[:, :3]))
+        return kinematics.inverse(np.ascontiguousarray(position(t)))
 
     def plan_time(t: FloatArray) -> FloatArray:
         return clock.plan_time(np.clip(t, begin_s, last))

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from ffcomp import shapers
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import mode_sd
 from ffcomp.metrics import contour_error
 from ffcomp.numerics.digits import um
@@ -23,6 +24,7 @@ from ffcomp.shapers.apply import shape_samples
 from ffcomp.shapers.search import Scan, search
 from ffcomp.simulation.command import Motion
 from ffcomp.simulation.linear import KEEP_EVERY, STEP_S, SUBSTEPS, LinearPlayback, whole_steps
+from gcode.dialect import DIALECTS
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.file import machine_paths
@@ -41,7 +43,7 @@ LEAST_VALUE = 0.2  # times its value, that a number keeps at least
 KINDS = ("zv", "mzv", "ei", "2hump_ei")
 TUNED_ON = 2  # pieces, the loudest: the shapers found leave within 1 % of those tuned on all, in a sixth of the time
 FACTORS = tuple(np.geomspace(0.8, 1.9, 10).tolist())  # of a shaper's frequencies to those of the modes
-TIE = 1.05  # ratio of expected errors that makes no difference
+SENTENCES = "shaper_name", "headline", "next_step"  # fields of `Expectation` that follow from the others
 UNKNOWN_SD = 0.15  # of the modes: from there on the next step is a measurement
 
 
@@ -212,31 +214,57 @@ class Expectation:
     uncompensated_um: float  # as sliced
     compensated_um: float
     shaper_um: float  # with the firmware's best input shaper
-    shaper_name: str  # that shaper: its kind and frequencies
+    shaper_kind: str  # that shaper: `zv`, `mzv` or another,
+    shaper_hz: tuple[float, float]  # and its frequencies for x and y
+    # true or false: the file is the print as sliced, with commands that set this shaper
+    shaper_written: bool
 
+    shaper_name: str  # kind and frequencies
     headline: str  # what to expect, in a sentence; the shaper first where it is better
     next_step: str  # that a measurement comes first, with its command; empty: the file is known well enough
 
+    @property
+    def shaper_is_better(self) -> bool:
+        """Whether the shaper is expected to leave less, in the digits that are stated."""
+        return float(um(self.compensated_um)) > float(um(self.shaper_um))
+
+    @property
+    def tuned(self) -> Tuned:
+        """The shaper."""
+        return Tuned(self.shaper_kind, self.shaper_hz)
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the fields that the others follow from: see `expectation_of`."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name not in SENTENCES}
+
 
 class Tuned(NamedTuple):
-    """An input shaper with the frequencies that serve a print best."""
+    """An input shaper with the frequencies for x and y that serve a print best."""
 
-    name: str
-    x: shapers.Shaper
-    y: shapers.Shaper
+    kind: str
+    hz: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """Kind and frequencies, for people."""
+        return f"{self.kind.upper()}, x {self.hz[0]:.1f} Hz, y {self.hz[1]:.1f} Hz"
+
+    def by_axis(self) -> list[shapers.Shaper]:
+        """Return the shapers of x and y."""
+        return [shapers.SHAPERS[self.kind](hz, shapers.DAMPING_RATIO) for hz in self.hz]
 
 
-def expectation(machine: Machine, pieces: Sequence[Piece]) -> Expectation | None:
+def expectation(machine: Machine, pieces: Sequence[Piece], flavor: str) -> Expectation | None:
     """Simulate pieces of a print on printers that the machine's `[uncertainty]` allows; None: no piece is long enough.
 
-    Without any uncertainty the printer is the machine itself.
+    Without any uncertainty the printer is the machine itself. flavor : of the firmware whose shapers are tried
     """
     pieces = [piece for piece in pieces if min(len(piece.plan) - 2 * MARGIN, len(piece.command)) > SUBSTEPS]
     if not pieces:
         return None
     plants = draw_plants(machine, None, PRINTERS) if any(machine.uncertainty.values()) else []
     printers = playbacks(plants or [machine])
-    name, shaper = best_shaper(shaped_errors(pieces, printers, tuned_shapers(machine, pieces)))
+    best, shaper = best_shaper(shaped_errors(pieces, printers, tuned_shapers(machine, pieces, flavor)))
     return expectation_of(
         machine,
         uncertainty=mode_sd(machine, BAND_HZ) if plants else 0.0,
@@ -246,7 +274,9 @@ def expectation(machine: Machine, pieces: Sequence[Piece]) -> Expectation | None
         uncompensated_um=_mean(errors_um(pieces, printers, Piece.planned)),
         compensated_um=_mean(errors_um(pieces, printers, Piece.compensated)),
         shaper_um=_mean(shaper),
-        shaper_name=name,
+        shaper_kind=best.kind,
+        shaper_hz=best.hz,
+        shaper_written=False,
     )
 
 
@@ -263,43 +293,54 @@ def errors_um(
     return np.array([1e3 * float(np.sqrt(np.mean(np.concatenate(each)))) for each in zip(*squares, strict=True)])
 
 
-def tuned_shapers(machine: Machine, pieces: Sequence[Piece]) -> list[Tuned]:
-    """Return the best shaper of each kind, for the pieces that ring most on the printer of the machine file."""
+def tuned_shapers(machine: Machine, pieces: Sequence[Piece], flavor: str) -> list[Tuned]:
+    """Return the best shaper of each kind, for the pieces that ring most on the printer of the machine file.
+
+    flavor : whose kinds of `KINDS` are tried; all where it has none for this machine
+    """
     (printer,) = playbacks([machine])
     loudest = sorted(pieces, key=lambda piece: -float(piece.squares(piece.planned(), [printer])[0].sum()))[:TUNED_ON]
-    return [_tuned(machine, printer, loudest, kind) for kind in KINDS]
+    of_firmware = FIRMWARES[flavor].shapers(machine)
+    kinds = [kind for kind in KINDS if kind in of_firmware] or KINDS
+    return [_tuned(machine, printer, loudest, kind, DIALECTS[flavor].shapes_axes) for kind in kinds]
 
 
 def shaped_errors(
     pieces: Sequence[Piece], printers: Sequence[Printer], tuned: Sequence[Tuned]
-) -> dict[str, FloatArray]:
-    """Return the errors of the plan through each shaper, (printers,) µm, by the shaper's name."""
+) -> dict[Tuned, FloatArray]:
+    """Return the errors of the plan through each shaper, (printers,) µm."""
 
     def errors(shaper: Tuned) -> FloatArray:
-        return errors_um(pieces, printers, lambda piece: piece.planned(shaper.x, shaper.y))
+        by_axis = shaper.by_axis()
+        return errors_um(pieces, printers, lambda piece: piece.planned(*by_axis))
 
-    return {each.name: errors(each) for each in tuned}
+    return {each: errors(each) for each in tuned}
 
 
-def best_shaper(errors: Mapping[str, FloatArray]) -> tuple[str, FloatArray]:
+def best_shaper(errors: Mapping[Tuned, FloatArray]) -> tuple[Tuned, FloatArray]:
     """Return the shaper with the least mean error, and its errors."""
     return min(errors.items(), key=lambda one: _mean(one[1]))
 
 
 def expectation_of(machine: Machine, **numbers: Any) -> Expectation:
-    """Add what follows from an expectation's numbers, the fields of `Expectation`: its headline, and the next step."""
-    sd, assumed, name = numbers["uncertainty"], numbers["assumed"], numbers["shaper_name"]
-    before, after, shaper = (numbers[f"{way}_um"] for way in ("uncompensated", "compensated", "shaper"))
-    better = after > TIE * shaper
-    lacks = machine.input_shaper == ()
-    shaping = "An input shaper, which the firmware lacks, would be" if lacks else "The firmware's input shaper is"
-    first = f"{shaping} better here: e" if better else "E"
-    headline = (
-        f"{first}xpected contour error {condition_of(sd, assumed)}: {um(after)} µm rms, with the best input shaper "
-        f"({name}) {um(shaper)}, without compensation {um(before)}."
+    """Add what follows from an expectation's numbers, its fields before `shaper_name`."""
+    made = Expectation(
+        **numbers | {"shaper_hz": tuple(numbers["shaper_hz"])}, shaper_name="", headline="", next_step=""
     )
-    next_step = _measure_first(machine) if better or (assumed and sd >= UNKNOWN_SD) else ""
-    return Expectation(**numbers, headline=headline, next_step=next_step)
+    before, after, shaper = map(um, (made.uncompensated_um, made.compensated_um, made.shaper_um))
+    name, better = made.tuned.name, made.shaper_is_better
+    unsure = {None: "An input shaper, if the firmware has one,", (): "An input shaper, which the firmware lacks,"}
+    shaping = f"{unsure[own]} would be" if (own := machine.input_shaper) in unsure else "The firmware's input shaper is"
+    first = f"{shaping} better here: e" if better else "E"
+    ours, theirs = f"{after} µm rms", f"with the best input shaper ({name}) {shaper}"
+    if made.shaper_written:
+        first = f"The print is as sliced, through the firmware's input shaper ({name}), which is better here: e"
+        ours, theirs = f"{shaper} µm rms", f"with ffcomp's own command (--robust on) {after}"
+    condition = condition_of(made.uncertainty, made.assumed)
+    headline = f"{first}xpected contour error {condition}: {ours}, {theirs}, without compensation {before}."
+    unknown = made.assumed and made.uncertainty >= UNKNOWN_SD
+    next_step = _measure_first(machine) if better or unknown else ""
+    return replace(made, shaper_name=name, headline=headline, next_step=next_step)
 
 
 def condition_of(sd: float, assumed: bool) -> str:
@@ -328,20 +369,23 @@ def _near(path_t: FloatArray, begin: float, end: float) -> slice:
 BAND_HZ = 100.0  # up to which modes count
 
 
-def _tuned(machine: Machine, printer: Printer, pieces: Sequence[Piece], kind: str) -> Tuned:
-    """Return a shaper with the frequencies that serve these pieces best on the printer of the machine file."""
+def _tuned(machine: Machine, printer: Printer, pieces: Sequence[Piece], kind: str, by_axis: bool) -> Tuned:
+    """Return a shaper with the frequencies that serve these pieces best on the printer of the machine file.
 
-    def of(settings: FloatArray) -> tuple[shapers.Shaper, shapers.Shaper]:
-        x, y = (shapers.SHAPERS[kind](hz, shapers.DAMPING_RATIO) for hz in settings.tolist())
-        return x, y
+    by_axis : whether x and y have frequencies of their own
+    """
+
+    def of(settings: FloatArray) -> Tuned:
+        return Tuned(kind, (float(settings[0]), float(settings[-1])))
 
     def cost(settings: FloatArray) -> float:
-        return float(errors_um(pieces, [printer], lambda piece: piece.planned(*of(settings)))[0])
+        by_axis = of(settings).by_axis()
+        return float(errors_um(pieces, [printer], lambda piece: piece.planned(*by_axis))[0])
 
     centre = np.array([machine.kinematics.centre_mm], dtype=float)
     modes = shapers.dominant_frequencies(design_machine(machine)[0], centre)[0]
-    best = search(cost, modes, [Scan((0, 1), FACTORS)]).settings
-    return Tuned(f"{kind.upper()}, x {best[0]:.1f} Hz, y {best[1]:.1f} Hz", *of(best))
+    start = modes if by_axis else np.sqrt(np.prod(modes, keepdims=True))
+    return of(search(cost, start, [Scan(range(len(start)), FACTORS)]).settings)
 
 
 def _mean(errors: FloatArray) -> float:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from ffcomp.metrics import Track
 from ffcomp.numerics.digits import um
-from ffcomp.numerics.serialise import json_line, keys, to_json
+from ffcomp.numerics.serialise import json_line, keys
 from ffcomp.simulation.expectation import Expectation, expectation_of
 from gcode.embedded import FORECAST, Stamp, find_forecast_text
 from models.machine import Machine
@@ -28,7 +28,8 @@ class Forecast:
 
     json_keys: ClassVar = keys("expected", "verdict", predicted="tracks", predicted_over_s="over_s")
 
-    tracks: Mapping[str, Track] = field(default_factory=dict)  # by WAYS; empty: none
+    # by WAYS; empty: none, or the print is as sliced
+    tracks: Mapping[str, Track] = field(default_factory=dict)
     over_s: float = 0.0  # print time that it covers
     failed: str = ""  # why there is none, in a sentence
     expected: Expectation | None = None  # the same on printers that the machine file's `[uncertainty]` allows
@@ -53,14 +54,20 @@ class Forecast:
         """The same as a sentence."""
         return f"If the machine file is exact: {self.exact}" if self.tracks else ""
 
+    def as_sliced(self, machine: Machine) -> Forecast:
+        """Return that of the print as sliced, through the best shaper."""
+        assert self.expected is not None
+        return replace(
+            self, tracks={}, expected=expectation_of(machine, **self.expected.numbers() | {"shaper_written": True})
+        )
+
     def line(self) -> bytes:
         """Return the comment that keeps it in a file; empty: there is nothing to keep."""
-        if not self.tracks:
+        if not self.over_s:
             return b""
         kept = {"over_s": self.over_s, **self.tracks}
         if self.expected is not None:
-            numbers = to_json(self.expected)
-            kept["expected"] = {name: each for name, each in numbers.items() if name not in ("headline", "next_step")}
+            kept["expected"] = self.expected.numbers()
         return FORECAST + json_line(kept).encode() + b"\n"
 
 
@@ -86,7 +93,7 @@ def stored_forecast(tail: bytes, machine: Machine) -> Forecast | None:
         kept = json.loads(text)
         expected = kept.get("expected")
         return Forecast(
-            {way: Track(**kept[way]) for way in WAYS},
+            {way: Track(**kept[way]) for way in WAYS if way in kept},
             float(kept["over_s"]),
             expected=None if expected is None else expectation_of(machine, **expected),
         )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ffcomp.planner.trajectory import Trajectory
+from ffcomp.shapers import Shaper, shape
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.scheduled import PITCH_MM, Schedule, plant_table
@@ -47,14 +48,16 @@ def whole_steps(seconds: float) -> int:
     return SUBSTEPS * int(seconds / STEP_S / SUBSTEPS)
 
 
-def simulate_linear(playback: LinearPlayback, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Simulate the nozzle under a plan, from its first move to its last.
+def simulate_linear(
+    playback: LinearPlayback, trajectory: Trajectory, by_axis: Sequence[Shaper] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Simulate the nozzle under a plan, through shapers of x and y if there are any, from its first move to its last.
 
     Returns times (m,) s on the plan's clock, in steps of 1 ms (except where something else has moved the nozzle), and
     the nozzle (m, 3) mm.
     """
     intervals = continuous_intervals(trajectory)
-    parts = [part for begin, end in intervals for part in _interval(playback, trajectory, begin, end)]
+    parts = [part for begin, end in intervals for part in _interval(playback, trajectory, begin, end, by_axis)]
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])
 
 
@@ -72,17 +75,23 @@ def continuous_intervals(trajectory: Trajectory) -> list[tuple[float, float]]:
 
 
 def _interval(
-    playback: LinearPlayback, trajectory: Trajectory, begin: float, end: float
+    playback: LinearPlayback, trajectory: Trajectory, begin: float, end: float, by_axis: Sequence[Shaper]
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    state = None
+    state, first = None, begin
     last = np.nextafter(end, -np.inf)  # at `end` itself the next interval may have begun
+
+    def position(t: FloatArray) -> FloatArray:
+        return trajectory.position(np.clip(t, first, last))[:, :3]
+
+    def speed(t: FloatArray) -> FloatArray:
+        return trajectory.velocity(t)[:, :3] * ((first <= t) & (t < end))[:, None]
+
     following = int(np.searchsorted(trajectory.start_t, end))
     over = trajectory.start_t[following] if following < len(trajectory) else np.inf  # when that is
     while begin < end:
         steps = min(CHUNK_STEPS, SUBSTEPS * int(np.ceil((end - begin) / STEP_S / SUBSTEPS)))
         t = begin + STEP_S * np.arange(steps + 1, dtype=np.float64)
-        nozzle = np.ascontiguousarray(trajectory.position(np.minimum(t, last))[:, :3])
-        velocity = trajectory.velocity(t)[:, :3] * (t < end)[:, None]
+        nozzle, velocity = np.ascontiguousarray(shape(position, t, *by_axis)), shape(speed, t, *by_axis)
         response, state = playback.respond(nozzle, velocity, state)
         kept = t[KEEP_EVERY::KEEP_EVERY] < over
         yield t[KEEP_EVERY::KEEP_EVERY][kept], response[KEEP_EVERY - 1 :: KEEP_EVERY][kept]

@@ -22,6 +22,7 @@ from ffcomp.metrics import (
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import (
+    Motion,
     command_peaks,
     motion_of,
     path_corners_with_rests,
@@ -29,10 +30,11 @@ from ffcomp.simulation.command import (
     reference_clock,
     section_clock,
 )
-from ffcomp.simulation.expectation import Piece, expectation, pieces_of
+from ffcomp.simulation.expectation import Piece, Tuned, expectation, pieces_of
 from ffcomp.simulation.forecast import WAYS, Forecast
 from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
-from gcode.embedded import original_lines
+from gcode.dialect import KLIPPER
+from gcode.embedded import STAMP_REACH, find_shaper, original_lines
 from gcode.layers import labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
@@ -91,11 +93,13 @@ class Preview:
     after: Curve
     original: Original | None = None
     pieces: Sequence[Piece] = ()  # of both prints; none where something else moves the nozzle
+    flavor: str = KLIPPER  # the firmware that plans them
 
     def forecast(self, machine: Machine) -> Forecast:
         """Evaluate both prints of a file that keeps no forecast."""
         tracks = dict(zip(WAYS, (self.before.track, self.after.track), strict=True))
-        return Forecast(tracks, self.before.track.print_time_s, expected=expectation(machine, self.pieces))
+        expected = expectation(machine, self.pieces, self.flavor)
+        return Forecast(tracks, self.before.track.print_time_s, expected=expected)
 
 
 def preview(
@@ -115,13 +119,16 @@ def preview(
     path_t, corners = path_corners_with_rests(reference)
     playback = LinearPlayback(design_machine(machine)[0])
     before_t, before = simulate_linear(playback, reference)
-    after_t, after = simulate_linear(playback, executed)
+    shaper = find_shaper(data[:STAMP_REACH])
+    by_axis = Tuned(*shaper).by_axis() if shaper else ()
+    after_t, after = simulate_linear(playback, executed, by_axis)
     before_reference = reference.position(before_t)[:, :3]
-    clock = section_clock(compensation, planned)
+    clock = reference_clock(reference) if shaper else section_clock(compensation, planned)
     after_due = clock.plan_time(after_t)
     after_reference = reference.position(after_due)[:, :3]
     kinds = _kinds(original, reference)
-    peaks = [_peak(machine, plan) for plan in (reference, executed)]
+    motions = planned_motion(reference), motion_of(executed, clock, by_axis)
+    peaks = [_peak(machine, *each) for each in zip(motions, (reference, executed), strict=True)]
     of_before, of_after = (
         contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after))
     )
@@ -131,13 +138,14 @@ def preview(
         Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
         Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
-        pieces_of(planned_motion(reference), motion_of(executed, clock), (path_t, corners)),
+        pieces_of(*motions, (path_t, corners)),
+        original.flavor,
     )
 
 
-def _peak(machine: Machine, plan: Trajectory) -> float:
+def _peak(machine: Machine, motion: Motion, plan: Trajectory) -> float:
     """Return the largest acceleration of a carriage's command, mm/s²; jumps by others are left out."""
-    actuators = motion_of(plan, reference_clock(plan)).actuators(machine)
+    actuators = motion.actuators(machine)
     return max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(plan))
 
 

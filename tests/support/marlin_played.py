@@ -133,7 +133,7 @@ def judge(case: str, seconds: float) -> Iterator[tuple[str, Score, Track]]:
     lines = Job(data, sliced, machine, CompensateOptions(flavor="marlin", offset_mm=offset)).lines()
     written = read(b"".join(lines), machine)
     predicted = lines.value.statistics.predicted
-    tracks = {} if predicted is None else predicted.forecast(machine).tracks
+    tracks = {} if predicted is None else predicted.forecast(machine, "marlin").tracks
     motion = played(original.program, machine)[1]
     yield "as sliced", score(motion, name, reference_clock(motion), path), tracks["uncompensated"]
     plan, motion = played(written, machine)

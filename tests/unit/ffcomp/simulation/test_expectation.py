@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ffcomp.comparison.sampling import Print, Sampling
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.simulation.command import planned_motion
 from ffcomp.simulation.expectation import (
     PRINTERS,
@@ -43,7 +44,7 @@ def pieces(machine: Machine) -> list[Piece]:
 
 def uncompensated(machine: Machine) -> Expectation:
     """What the firmware's plan itself would be, were it a compensation."""
-    found = expectation(machine, pieces(machine))
+    found = expectation(machine, pieces(machine), "marlin")
     assert found is not None
     return found
 
@@ -67,22 +68,35 @@ def test_the_first_piece_holds_what_a_command_does_before_its_path_begins(machin
 def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(machine: Machine) -> None:
     found = uncompensated(machine)
     assert found.assumed and found.uncertainty == pytest.approx(0.2, rel=0.1)
-    assert found.headline.startswith("The firmware's input shaper is better here") and "assumed" in found.headline
+    assert found.headline.startswith("An input shaper, if the firmware has one, would be better here")
+    assert "assumed" in found.headline and "(ZV, x " in found.headline
     assert "ffcomp record plan --for identify -m ender-3" in found.next_step
     assert found.shaper_um > uncompensated(replace(machine, uncertainty={"default": 0.0})).shaper_um > 0.0
-    numbers = {each.name: getattr(found, each.name) for each in fields(found)[:-2]} | {"compensated_um": 1.0}
+    numbers = found.numbers() | {"compensated_um": 1.0}
     assert expectation_of(machine, **numbers).headline.startswith("Expected contour error")
-    without = expectation_of(replace(machine, input_shaper=()), **(numbers | {"compensated_um": 1e3}))
-    assert without.headline.startswith("An input shaper, which the firmware lacks, would be better here")
+    begins = {(): "An input shaper, which the firmware lacks, would", ("M593 X F40",): "The firmware's input shaper is"}
+    for own, begin in begins.items():
+        worse = expectation_of(replace(machine, input_shaper=own), **(numbers | {"compensated_um": 1e3}))
+        assert worse.headline.startswith(f"{begin} better here") or worse.headline.startswith(f"{begin} be better here")
 
 
 def test_pieces_where_nothing_rings_do_not_tune_a_shaper(machine: Machine) -> None:
     (loud,) = pieces(machine)
     plan, path = (np.broadcast_to(loud.plan[0], each.shape) for each in (loud.plan, loud.path))
     still = replace(loud, plan=plan, path=path)
-    assert [each.name for each in tuned_shapers(machine, [still, loud, still])] == [
-        each.name for each in tuned_shapers(machine, [loud])
-    ]
+    assert tuned_shapers(machine, [still, loud, still], "klipper") == tuned_shapers(machine, [loud], "klipper")
+
+
+def test_a_shaper_is_one_that_the_firmware_has(machine: Machine) -> None:
+    """Marlin has ZV, and none on deltas; RepRapFirmware has one frequency for both axes."""
+    kinds = {flavor: [each.kind for each in tuned_shapers(machine, pieces(machine), flavor)] for flavor in FIRMWARES}
+    assert kinds == {
+        "klipper": ["zv", "mzv", "ei", "2hump_ei"],
+        "marlin": ["zv"],
+        "reprapfirmware": ["mzv", "2hump_ei"],
+    }
+    assert all(each.hz[0] == each.hz[1] for each in tuned_shapers(machine, pieces(machine), "reprapfirmware"))
+    assert not FIRMWARES["marlin"].shapers(MACHINE)
 
 
 def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:

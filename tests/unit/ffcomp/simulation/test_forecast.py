@@ -22,7 +22,9 @@ EXPECTED = expectation_of(
     uncompensated_um=130.0 / 3.0,
     compensated_um=12.0,
     shaper_um=8.1,
-    shaper_name="EI, x 40.0 Hz, y 41.0 Hz",
+    shaper_kind="ei",
+    shaper_hz=(40.0, 41.0),
+    shaper_written=False,
 )
 
 
