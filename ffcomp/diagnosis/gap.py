@@ -57,17 +57,10 @@ class Discrepancy(Result):
 
     @property
     def facts(self) -> list[Fact]:
-        """The disagreement by signal and run; where most of it is: bands, places, reversals."""
-        residual = self.residual
-        sizes = [*residual.signals.items(), *residual.recordings.items()]
+        """The disagreement by signal and run, and where most of it is."""
+        sizes = [*self.residual.signals.items(), *self.residual.recordings.items()]
         facts = [(name, f"{100 * e.nrms:.2f} %, {e.over_noise:.1f} times the noise") for name, e in sizes]
-        if self.is_noise:
-            return facts
-        loud = sorted(residual.bands, key=lambda band: -band[2])[:3]
-        facts.append(("Bands", ", ".join(f"{low:g}-{high:g} Hz {100 * share:.0f} %" for low, high, share in loud)))
-        places = sorted(residual.places, key=lambda place: -place[2])
-        facts += [(name, f"{100 * share:.0f} %") for _, name, share in places]
-        return [*facts, ("Near reversals and at rest", f"{100 * residual.near_reversals:.0f} %")]
+        return facts if self.is_noise else [*facts, *self.residual.facts]
 
     @property
     def warnings(self) -> Sequence[str]:

@@ -7,7 +7,6 @@ from typing import Any
 
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.settings import SETTINGS
-from ffcomp.diagnosis.where import ResidualBreakdown
 from ffcomp.diagnosis.words import digits, joined, most_of, percent
 from models.effects.catalogue import CATALOGUE
 
@@ -45,8 +44,7 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
                 f"There is a gap of {size}. Most of it is {_in_family(most.effect.name)}: where it was not fitted to, "
                 f"it explains {most_of(most.explained)} of the gap."
             )
-            where = joined(list(_where(most.left)))
-            yield f"A rest of {left} of {_compared(result)} stays, which nothing known explains: {where}."
+            yield f"A rest of {left} of {_compared(result)} stays, which nothing known explains."
             if most.rivals:
                 shares = [f"{joined(names)} would explain {percent(max(share, 0.0))}" for names, share in most.rivals]
                 yield f"Of other effects {joined(shares)} there."
@@ -95,17 +93,6 @@ def _in_family(name: str) -> str:
     """Return an effect by its family, then its law: `dry friction that falls with speed, stribeck_friction`."""
     family = CATALOGUE[name].family
     return f"{family}, {name}" if family else name
-
-
-def _where(left: ResidualBreakdown) -> Iterator[str]:
-    """Say where a residual lies: frequencies, motion, place."""
-    low, high, share = max(left.bands, key=lambda band: band[2])
-    position, place, there = max(left.places, key=lambda each: each[2])
-    yield f"{percent(share)} of it lies at {low:g} to {high:g} Hz"
-    yield f"{percent(left.near_reversals)} near reversals and at rest"
-    ways = left.forwards
-    yield f"{percent(max(ways, 1 - ways))} of the other while it moves {'for' if ways > 0.5 else 'back'}wards"
-    yield f"{percent(there)} {'at' if len(position) > 1 else 'in the window'} {place}"
 
 
 def _open_numbers(result: DiagnosisResult) -> Iterator[str]:

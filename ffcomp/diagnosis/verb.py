@@ -68,6 +68,8 @@ class Diagnosis(DiagnosisResult, Result):
         left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
         facts.append(("Disagreement", left))
         facts += [("Not explained", curve.sentence) for curve in self.curves[:1]]
+        if self.dominant is not None:
+            facts += self.dominant.left.facts
         return facts if self.output is None else [*facts, ("Better file", str(self.output))]
 
     @property

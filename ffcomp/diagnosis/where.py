@@ -30,8 +30,11 @@ from ffcomp.diagnosis.problem import Observation, Problem
 from ffcomp.diagnosis.words import digits, percent
 from ffcomp.identification.uncertainty import NINETY_PERCENT
 from ffcomp.numerics.serialise import keys
+from ffcomp.result import Fact
 from models.arrays import FloatArray
 from models.quantities import Quantities
+
+MOST_SHOWN = 3  # bands, and places
 
 # ---- size ----------------------------------------------------------------------------------------
 
@@ -56,10 +59,7 @@ class ResidualBreakdown:
     """The residual of one simulation as a whole and in parts."""
 
     json_keys: ClassVar = keys(
-        *("total", "signals", "near_reversals", "forwards"),
-        frequency_hz="bands",
-        runs="recordings",
-        region="places",
+        "total", "signals", "near_reversals", frequency_hz="bands", runs="recordings", region="places"
     )
 
     total: ResidualSize
@@ -82,18 +82,17 @@ class ResidualBreakdown:
     @property
     def near_reversals(self) -> float:
         """Share of the excess while the part that carries the sensor reverses or rests."""
-        return self._in_motion.get(SLOW, 0.0)
-
-    @property
-    def forwards(self) -> float:
-        """Share of the excess while that part moves forwards, of all while it moves."""
-        ahead, back = (self._in_motion.get(way, 0.0) for way in (FORWARD, BACKWARD))
-        return ahead / max(ahead + back, 1e-300)
-
-    @property
-    def _in_motion(self) -> dict[str, float]:
         split = self.splits["motion"]
-        return dict(zip(split.labels, split.shares, strict=True))
+        return dict(zip(split.labels, split.shares, strict=True)).get(SLOW, 0.0)
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Where most of the excess is: bands, places, reversals."""
+        bands = sorted(self.bands, key=lambda band: -band[2])[:MOST_SHOWN]
+        places = sorted(self.places, key=lambda place: -place[2])[:MOST_SHOWN]
+        shares = ", ".join(f"{low:g}-{high:g} Hz {100 * share:.0f} %" for low, high, share in bands)
+        facts = [("Bands", shares), *((name, f"{100 * share:.0f} %") for _, name, share in places)]
+        return [*facts, ("Near reversals and at rest", f"{100 * self.near_reversals:.0f} %")]
 
 
 def locate_residual(
@@ -136,7 +135,7 @@ def _rows(values: Iterable[ArrayLike], observations: Sequence[Observation]) -> N
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
 SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
 PHASE_BINS = 16
-BACKWARD, SLOW, FORWARD = MOTIONS = ("backward", "turning back or at rest", "forward")
+_, SLOW, _ = MOTIONS = ("backward", "turning back or at rest", "forward")
 
 
 @dataclass(frozen=True)
