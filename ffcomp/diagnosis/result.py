@@ -20,7 +20,7 @@ from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.score_test import separated_by
-from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, ResidualSize, curves_of, locate_residual
+from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, ResidualSize, locate_residual, residual_curves
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import ALL_OF, keys
 from models.effects.catalogue import CATALOGUE, key_in_file
@@ -211,7 +211,7 @@ class DiagnosisResult:
         if (most := self.search.dominant) is None:
             return None
         rivals = [(r.names, r.explained) for r in most.rivals]
-        return PartlyExplained(self._effect(self.named[0]), most.explained, self._residuals[1], rivals)
+        return PartlyExplained(self._effect(self.named[0]), most.explained, self.residuals[1], rivals)
 
     @property
     def refused(self) -> Nearest | None:
@@ -291,7 +291,7 @@ class DiagnosisResult:
     # ---- the gap ----
 
     @cached_property
-    def _residuals(self) -> tuple[ResidualBreakdown, ResidualBreakdown]:
+    def residuals(self) -> tuple[ResidualBreakdown, ResidualBreakdown]:
         """With the original machine file, and with the final fit."""
         problem, search = self.problem, self.search
         before, after = (
@@ -303,7 +303,7 @@ class DiagnosisResult:
     @cached_property
     def gap(self) -> Gap:
         """The discrepancy before and after."""
-        before, after = (each.total for each in self._residuals)
+        before, after = (each.total for each in self.residuals)
         held_out, elsewhere = self.search.held_out, (before.noise_nrms, before.noise_nrms)
         if held_out:  # each left out of the fit in turn
             filed, fitted, signals = np.sum([place.power for place in held_out], axis=0)
@@ -325,8 +325,11 @@ class DiagnosisResult:
 
     @cached_property
     def curves(self) -> list[ResidualCurve]:
-        """Of what is not explained."""
-        return curves_of(self.search)
+        """Of what is not explained: what an effect leaves that holds most, else what the original file leaves."""
+        if self.search.finding not in ("dominant", "unproven", "unexplained"):
+            return []
+        values = self.search.final.values if self.search.finding == "dominant" else {}
+        return residual_curves(self.problem, values, self.search.noise)
 
     @property
     def others(self) -> list[OtherMotion]:

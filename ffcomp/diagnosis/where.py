@@ -23,8 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ffcomp.diagnosis.diagnosis import Diagnosis
-from ffcomp.diagnosis.fit import student_share
+from ffcomp.diagnosis.fit import EstimationProblem, student_share
 from ffcomp.diagnosis.noise import NoiseFloor, Whitener, lines, noise_floor, taper
 from ffcomp.diagnosis.problem import Observation, Problem
 from ffcomp.diagnosis.words import digits, percent
@@ -147,22 +146,21 @@ class Split:
     spans: tuple[tuple[float, float], ...] = ()  # from and to of each label, where labels follow one another
     unit: str = ""  # of the spans
     at: tuple[tuple[float, ...], ...] = ()  # places, where labels are places
-    before: tuple[float, ...] = ()
-    after: tuple[float, ...] = ()  # empty: of one simulation only
+    excess: tuple[float, ...] = ()
     weight: tuple[float, ...] = ()  # share of all entries compared
 
     @property
     def shares(self) -> list[float]:
-        """Each label's share of the excess before."""
-        parts = np.maximum(self.before, 0.0) * self.weight
+        """Each label's share of the excess."""
+        parts = np.maximum(self.excess, 0.0) * self.weight
         return list((parts / max(parts.sum(), 1e-300)).tolist())
 
 
-def split_residual(problem: Problem, whiten: Whitener, *residuals: FloatArray) -> list[Split]:
-    """Split the excess of one or two whitened residuals (rows,) by all quantities it may depend on."""
+def split_residual(problem: Problem, whiten: Whitener, residual: FloatArray) -> list[Split]:
+    """Split the excess of a whitened residual (rows,) by all quantities it may depend on."""
     observations, bands = problem.observations, np.digitize(whiten.frequencies(), EDGES_HZ[1:-1])
-    splits = [_filled(_spanned("frequency", EDGES_HZ, "Hz"), bands, np.ones(len(bands)), residuals)]
-    rows = [_rows(series(whiten, residual), observations) for residual in residuals]
+    splits = [_filled(_spanned("frequency", EDGES_HZ, "Hz"), bands, np.ones(len(bands)), residual)]
+    rows = _rows(series(whiten, residual), observations)
     faded = [taper(len(o.measured), o.rate_hz)[:, None] ** 2 for o in observations]
     noise = _rows((w / w.mean() for w in faded), observations)  # the square that noise alone has; the ends are faded
     signals = tuple(sorted({s for o in observations for s in o.signals}))
@@ -187,7 +185,7 @@ def _spanned(title: str, edges: Sequence[float] | FloatArray, unit: str) -> Spli
     return Split(title, tuple(f"{a:.0f}-{b:.0f} {unit}" for a, b in spans), spans, unit)
 
 
-def _filled(blank: Split, group: NDArray[np.int64], expected: FloatArray, residuals: Sequence[FloatArray]) -> Split:
+def _filled(blank: Split, group: NDArray[np.int64], expected: FloatArray, residual: FloatArray) -> Split:
     """Fill a split with values; labels without any entry are left out.
 
     expected : the square that noise alone has in each entry.
@@ -195,14 +193,13 @@ def _filled(blank: Split, group: NDArray[np.int64], expected: FloatArray, residu
     count = len(blank.labels)
     kept = np.flatnonzero(np.bincount(group, minlength=count))
     noise = np.bincount(group, expected, count)[kept]
-    means = [np.bincount(group, x**2, count)[kept] / np.maximum(noise, 1e-300) - 1 for x in residuals]
+    excess = np.bincount(group, residual**2, count)[kept] / np.maximum(noise, 1e-300) - 1
     return replace(
         blank,
         labels=tuple(blank.labels[i] for i in kept),
         spans=tuple(blank.spans[i] for i in kept if blank.spans),
         at=tuple(blank.at[i] for i in kept if blank.at),
-        before=tuple(means[0].tolist()),
-        after=tuple(means[1].tolist()) if len(means) > 1 else (),
+        excess=tuple(excess.tolist()),
         weight=tuple((noise / noise.sum()).tolist()),
     )
 
@@ -269,17 +266,6 @@ class ResidualCurve:
         if self.share < WEAK_SHARE:
             return f"residual {self.signal} depends little on {self.against}: {share}, {size}"
         return f"residual {self.signal} against {self.against}: {share}, {self.regime}; {size}"
-
-
-def curves_of(diagnosis: Diagnosis) -> list[ResidualCurve]:
-    """Return the curves of what a diagnosis leaves; none where it leaves nothing, or the recordings are at fault.
-
-    Where one effect is named and leaves a rest, that rest; else the residual of the original machine file.
-    """
-    if diagnosis.finding not in ("dominant", "unproven", "unexplained"):
-        return []
-    values = diagnosis.final.values if diagnosis.finding == "dominant" else {}
-    return residual_curves(diagnosis.estimation.problem, values, diagnosis.noise)
 
 
 def residual_curves(
@@ -426,30 +412,17 @@ class Overlay:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnResidual:
-    """Where measurement and simulation differ, before and after the fit."""
-
-    splits: tuple[Split, ...]
-    overlays: tuple[Overlay, ...]
-
-
-def drawn_residual(diagnosis: Diagnosis) -> DrawnResidual:
-    """Compare measurement and simulation, before with the machine file, after with the final fit.
-
-    Overlays are of the signals with the largest excess.
-    """
-    estimation, problem, whiten = diagnosis.estimation, diagnosis.estimation.problem, diagnosis.estimation.whiten
-    answers = [problem.simulate({}), problem.simulate(diagnosis.final.values)]
-    residuals = [estimation.measured - whiten(simulated) for simulated in answers]
-    errors = series(whiten, residuals[0])
+def overlays_of(estimation: EstimationProblem, values: Mapping[str, float]) -> list[Overlay]:
+    """Show the signals with the largest excess: before with the machine file, after with these values."""
+    problem, whiten = estimation.problem, estimation.whiten
+    answers = [problem.simulate({}), problem.simulate(values)]
+    errors = series(whiten, estimation.measured - whiten(answers[0]))
     loudest: dict[str, tuple[float, int, int]] = {}
     for i, (o, error) in enumerate(zip(problem.observations, errors, strict=True)):
         for k, signal in enumerate(o.signals):
             loudest[signal] = max(loudest.get(signal, (0.0, 0, 0)), (float(np.mean(error[:, k] ** 2)), i, k))
     worst = sorted(loudest.values(), reverse=True)[:WORST]
-    overlays = [_overlay(problem, whiten, answers, errors[i][:, k], i, k) for _, i, k in worst]
-    return DrawnResidual(tuple(split_residual(problem, whiten, *residuals)), tuple(overlays))
+    return [_overlay(problem, whiten, answers, errors[i][:, k], i, k) for _, i, k in worst]
 
 
 def _overlay(

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.fit import intervals_of
-from ffcomp.diagnosis.result import of_machine
+from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import DrawnResidual, Overlay, ResidualCurve, Split, drawn_residual
+from ffcomp.diagnosis.where import Overlay, ResidualCurve, Split, overlays_of
 from ffcomp.diagnosis.words import (
     digits,
     evidence,
@@ -48,11 +48,12 @@ KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noi
 
 def page_of(diagnosis: Diagnosis) -> Page:
     """Return the page of a diagnosis."""
-    search, where, proposals = diagnosis.search, drawn_residual(diagnosis.search), diagnosis.proposals()
+    search, proposals = diagnosis.search, diagnosis.proposals()
+    overlaid = [overlay(each) for each in overlays_of(search.estimation, search.final.values)]
     worst = "Measured and simulated, where they differ most"
     sections = [
-        Section("Where they differ", sentences=[KEY], drawings=splits(where)),
-        Section(worst, sentences=[f"Dark: measured. {KEY}"], drawings=list(map(overlay, where.overlays))),
+        Section("Where they differ", sentences=[KEY], drawings=splits(diagnosis)),
+        Section(worst, sentences=[f"Dark: measured. {KEY}"], drawings=overlaid),
     ]
     if diagnosis.curves:
         shown = "with the best explanation" if diagnosis.named else "with the machine file"
@@ -127,14 +128,15 @@ def _files(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 # ---- figures -------------------------------------------------------------------------------------
 
 
-def splits(where: DrawnResidual) -> list[Drawing]:
+def splits(result: DiagnosisResult) -> list[Drawing]:
     """Return a figure for each quantity that the excess may depend on."""
-    return [_split(split, TITLES[split.title]) for split in where.splits]
+    before, after = (each.splits for each in result.residuals)
+    return [_split(TITLES[title], split, after[title]) for title, split in before.items()]
 
 
-def _split(split: Split, title: str, more: float = 0.0) -> Drawing:
-    height = HEIGHT if split.spans else ROW * len(split.labels) + AXIS + more
-    return Drawing("where", title, "", "", WIDTH, height, partial(draw_split, split=split))
+def _split(title: str, before: Split, after: Split, more: float = 0.0) -> Drawing:
+    height = HEIGHT if before.spans else ROW * len(before.labels) + AXIS + more
+    return Drawing("where", title, "", "", WIDTH, height, partial(draw_split, split=before, fitted=after))
 
 
 def overlay(each: Overlay) -> Drawing:
@@ -154,8 +156,10 @@ def _held_out(diagnosis: Diagnosis) -> Drawing:
         f"{times(times_noise(worst.after))} after."
     )
     left_out = diagnosis.gap.left_out.capitalize()
-    split = Split(left_out, labels, before=tuple(p.before for p in places), after=tuple(p.after for p in places))
-    return replace(_split(split, left_out, 0.3), name="held-out", finding=finding)
+    before, after = (
+        Split(left_out, labels, excess=tuple(x)) for x in ([p.before for p in places], [p.after for p in places])
+    )
+    return replace(_split(left_out, before, after, 0.3), name="held-out", finding=finding)
 
 
 def _curve(curve: ResidualCurve) -> Drawing:
@@ -175,10 +179,10 @@ def draw_curve(box: Box, curve: ResidualCurve) -> None:
     grid(axes)
 
 
-def draw_split(box: Box, split: Split) -> None:
-    """Draw the error before and after by the labels of one split."""
+def draw_split(box: Box, split: Split, fitted: Split) -> None:
+    """Draw the error before and after the fit by the labels of one split."""
     axes = box.subplots()
-    before, after = (np.maximum([times_noise(x) for x in part], LEAST_SHOWN) for part in (split.before, split.after))
+    before, after = (np.maximum([times_noise(x) for x in part.excess], LEAST_SHOWN) for part in (split, fitted))
     if split.spans:
         _steps(axes, split, before, after)
     else:

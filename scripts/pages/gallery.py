@@ -30,7 +30,8 @@ from PIL import Image
 from ffcomp.api.comparison import compare
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.where import drawn_residual
+from ffcomp.diagnosis.result import DiagnosisResult
+from ffcomp.diagnosis.where import overlays_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
@@ -216,8 +217,9 @@ def diagnosis() -> Image.Image:
     follow("DIAGNOSE", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
     plant = PrinterProblem(load_machine("my-delta.toml"), runs)
-    found = drawn_residual(diagnose(plant))
-    return side_by_side([overlay(found.overlays[0]), splits(found)[0]])
+    found = DiagnosisResult(search=diagnose(plant))
+    overlays = overlays_of(found.search.estimation, found.search.final.values)
+    return side_by_side([overlay(overlays[0]), splits(found)[0]])
 
 
 def side_by_side(drawings: list[Drawing]) -> Image.Image:

@@ -14,7 +14,7 @@ import pytest
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult
-from ffcomp.diagnosis.where import drawn_residual
+from ffcomp.diagnosis.where import overlays_of
 from ffcomp.measurement.recording import Recording, read_recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
@@ -132,18 +132,17 @@ def found(
 def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
     _, diagnosis = found(("guide_damping",), TWO, cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
     assert diagnosis.verdict == "unknown" and diagnosis.rejections and diagnosis.named is None
-    shown = drawn_residual(diagnosis)
-    splits = {split.title: split for split in shown.splits}
-    cycle = splits["motor's step cycle"]  # ripple follows the motor's position
-    assert len(cycle.labels) == 16 and min(cycle.before) > 10
-    measured, simulated = shown.overlays[0].measured, shown.overlays[0].before
-    assert np.std(measured - simulated) > 5 * shown.overlays[0].noise_rms
+    before, _ = DiagnosisResult(search=diagnosis).residuals
+    cycle = before.splits["motor's step cycle"]  # ripple follows the motor's position
+    assert len(cycle.labels) == 16 and min(cycle.excess) > 10
+    shown = overlays_of(diagnosis.estimation, diagnosis.final.values)[0]
+    assert np.std(shown.measured - shown.before) > 5 * shown.noise_rms
 
 
 def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothing() -> None:
     _, diagnosis = found(("center_of_mass", "guide_damping"))
     assert diagnosis.verdict == "none"
     assert diagnosis.invisible == ["center_of_mass"]  # by virtual work the carriages do not feel it
-    for split in drawn_residual(diagnosis).splits:
-        inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
+    for split in DiagnosisResult(search=diagnosis).residuals[1].splits.values():
+        inner = np.array(split.excess[1:-1] if "time" in split.title else split.excess)  # the ends are faded out
         assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds

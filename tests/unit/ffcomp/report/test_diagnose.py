@@ -19,7 +19,7 @@ from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import Gap
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import ResidualSize, drawn_residual
+from ffcomp.diagnosis.where import ResidualSize, overlays_of
 from ffcomp.report import diagnose as pages
 from ffcomp.report.diagnose import page_of
 from models.effects.catalogue import with_effect
@@ -194,13 +194,13 @@ def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
 
 def test_text_from_files_is_escaped(heavy: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     nasty = '"><script>alert(1)</script>$x_1$'
-    where = drawn_residual(heavy.told.search)
-    signals = replace(where.splits[1], labels=tuple(nasty for _ in where.splits[1].labels))
-    splits = (where.splits[0], signals, *where.splits[2:])
-    overlays = tuple(replace(each, recording=nasty) for each in where.overlays)
-    monkeypatch.setattr(pages, "drawn_residual", lambda *_: replace(where, splits=splits, overlays=overlays))
+    told = replace(heavy.told)
+    for each in told.residuals:
+        each.splits["signal"] = replace(each.splits["signal"], labels=(nasty,) * len(each.splits["signal"].labels))
+    overlays = [replace(each, recording=nasty) for each in overlays_of(told.search.estimation, {})]
+    monkeypatch.setattr(pages, "overlays_of", lambda *_: overlays)
     monkeypatch.setattr(verb, "separations", lambda *_, **__: [replace(PROPOSAL, command=nasty, gcode=nasty)])
-    text = page_of(heavy.told).html(heavy.told.answer).decode()
+    text = page_of(told).html(told.answer).decode()
     assert "alert(1)" in text and "<script" not in text
 
 
