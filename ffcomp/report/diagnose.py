@@ -15,16 +15,7 @@ from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
 from ffcomp.diagnosis.where import Overlay, ResidualCurve, Split, overlays_of
-from ffcomp.diagnosis.words import (
-    digits,
-    evidence,
-    interval,
-    joined,
-    percent,
-    times,
-    times_noise,
-    title,
-)
+from ffcomp.diagnosis.words import digits, evidence, interval, joined, percent, times, times_noise, title
 from ffcomp.identification.machine_fit import hash_of
 from ffcomp.report.drawing import AFTER, BEFORE, NOISE, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
 from ffcomp.report.page import Page, Section, Table
@@ -156,9 +147,7 @@ def _held_out(diagnosis: Diagnosis) -> Drawing:
         f"{times(times_noise(worst.after))} after."
     )
     left_out = diagnosis.gap.left_out.capitalize()
-    before, after = (
-        Split(left_out, labels, excess=tuple(x)) for x in ([p.before for p in places], [p.after for p in places])
-    )
+    before, after = (Split(left_out, labels, excess=tuple(getattr(p, x) for p in places)) for x in ("before", "after"))
     return replace(_split(left_out, before, after, 0.3), name="held-out", finding=finding)
 
 

@@ -216,10 +216,9 @@ def diagnosis() -> Image.Image:
     """Where the gap is, by frequency, and one stretch of a run, before and after, as in the report."""
     follow("DIAGNOSE", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
-    plant = PrinterProblem(load_machine("my-delta.toml"), runs)
-    found = DiagnosisResult(search=diagnose(plant))
-    overlays = overlays_of(found.search.estimation, found.search.final.values)
-    return side_by_side([overlay(overlays[0]), splits(found)[0]])
+    search = diagnose(PrinterProblem(load_machine("my-delta.toml"), runs))
+    worst = overlays_of(search.estimation, search.final.values)[0]
+    return side_by_side([overlay(worst), splits(DiagnosisResult(search=search))[0]])
 
 
 def side_by_side(drawings: list[Drawing]) -> Image.Image:

@@ -11,7 +11,7 @@ import sys
 import textwrap
 import types
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import cached_property, reduce
+from functools import reduce
 from importlib import import_module
 from inspect import get_annotations, getsource
 from operator import or_
@@ -187,8 +187,7 @@ def type_of(cls: type, name: str) -> Any:
         return get_args(cls)[int(name)]
     for owner in cls.__mro__:
         value = vars(owner).get(name)
-        if isinstance(value, property | cached_property):
-            getter = value.fget if isinstance(value, property) else value.func
+        if getter := getattr(value, "fget", getattr(value, "func", None)):  # of a property, or of a cached one
             return get_type_hints(getter, localns=_names(owner))["return"]
         if name in get_annotations(owner):
             kind = get_type_hints(owner, localns=_names(owner))[name]
