@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
+from ffcomp.diagnosis.fit import SMALL_GAIN, EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis, log_fit, log_try
 from ffcomp.diagnosis.problem import Parameter, Problem
-from ffcomp.numerics.least_squares import SMALL_GAIN
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 

@@ -11,7 +11,7 @@ says little about numbers of the file that hardly change it. The sizes of effect
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -23,19 +23,16 @@ from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter,
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
-from ffcomp.numerics.least_squares import (
-    RIDGE,
-    SMALL_GAIN,
-    BatchedProblem,
-    bounded_step,
-    differences,
-    minimise_batched,
-    overdispersion,
-)
+from ffcomp.inference import fit as engine
+from ffcomp.inference.covariance import overdispersion
+from ffcomp.inference.problem import EstimationProblem as FittedProblem
+from ffcomp.inference.problem import Observation, Unknown
 from models.arrays import FloatArray
 
 BLOCK_HZ = 5.0  # over which the residual of a wrong shape keeps its sign
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
+STEP = 0.01  # of a prior's standard deviation, for differences
+LEAST_GAIN, SMALL_GAIN = 0.3, 1e-7  # of |r|², times φ; of what stands above the noise: a fit ends with less to gain
 DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
 
 
@@ -219,7 +216,7 @@ class Fit:
 
     @property
     def overdispersion(self) -> float:
-        """φ, by which model error scatters |r|² more than noise alone: see `least_squares.overdispersion`."""
+        """φ, by which model error scatters |r|² more than noise alone: see `overdispersion`."""
         return overdispersion(self.misfit, self.block_rows)
 
     @cached_property
@@ -228,15 +225,10 @@ class Fit:
         return np.asarray(self.jacobian.T @ self.residual)
 
     @cached_property
-    def best_step(self) -> FloatArray:
-        """(p,) the step to the optimum inside the bounds if the simulation were linear."""
-        gradient = self.slope - self.prior * self.z
-        return step_within(self.parameters, self.z, self.information, gradient)
-
-    @cached_property
     def predicted_gain(self) -> float:
-        """The decrease of |r|² + φ|z|² by the best step."""
-        gradient, step = self.slope - self.prior * self.z, self.best_step
+        """The decrease of |r|² + φ|z|² by the best step inside the bounds, were the simulation linear."""
+        gradient = self.slope - self.prior * self.z
+        step = step_within(self.parameters, self.z, self.information, gradient)
         return float(2 * gradient @ step - step @ self.information @ step)
 
     @property
@@ -313,7 +305,7 @@ def student_share(freedom: int) -> float:
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve matrix x = right, symmetric and positive definite: scaled, for its diagonal may span twenty decades."""
     scale = 1 / np.sqrt(np.diag(matrix))
-    regular = matrix * np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+    regular = matrix * np.outer(scale, scale) + engine.RIDGE * np.eye(len(scale))
     scaled = np.linalg.solve(regular, scale * right if right.ndim == 1 else scale[:, None] * right)
     return np.asarray(scale * scaled if right.ndim == 1 else scale[:, None] * scaled)
 
@@ -337,7 +329,7 @@ def clipped(parameters: Sequence[Parameter], z: FloatArray) -> FloatArray:
 def step_within(parameters: Sequence[Parameter], z: FloatArray, normal: FloatArray, gradient: FloatArray) -> FloatArray:
     """Minimise ½ sᵀNs − gᵀs over steps s (p,) from z that stay inside the bounds."""
     low, high = limits_of(parameters)
-    return bounded_step(normal, gradient, low - z, high - z)
+    return engine.bounded_step(normal, gradient, low - z, high - z)
 
 
 def derivatives(
@@ -350,13 +342,9 @@ def derivatives(
     sizes: FloatArray | None = None,
     rough: int = 0,
 ) -> FloatArray:
-    """Differentiate the simulation by some of z: (rows, len(which)); see `least_squares.differences`.
-
-    Parameters
-    ----------
-    rough : the first so many parameters are differentiated in coarse simulations.
-    """
-    return differences(_batched(estimation, parameters, rough), z, residual, which, central, sizes)
+    """Differentiate the simulation by some of z, (rows, len(which)); by the first `rough` in coarse simulations."""
+    problem, one = _Scaled(estimation, parameters, rough), np.ones(len(residual))
+    return engine.derivatives(problem, z, residual, one, which, central, sizes)
 
 
 def fit(
@@ -371,28 +359,41 @@ def fit(
     exact: bool = False,
     rough: int = 0,
 ) -> Fit:
-    """Minimise |r|² + |z|² from `start`, (p,); see `derivatives` and `least_squares.minimise_batched`."""
-    best = minimise_batched(
-        _batched(estimation, parameters, rough),
-        start,
-        jacobian,
-        renew=renew,
-        iterations=iterations,
-        small_gain=small_gain,
-        renew_all=renew_all,
-        exact=exact,
-        block_rows=estimation.block_rows,
-        tempered=believed(parameters),
+    """Minimise |r|² + φ|z|² from `start`, (p,), φ = 1 for the effects' sizes; see `derivatives` and `FitSettings`."""
+    settings = engine.FitSettings(
+        iterations, gain=LEAST_GAIN, share=small_gain, keep=True, exact=exact, renew=renew, renew_all=renew_all
     )
-    return Fit(tuple(parameters), best.z, best.residual, best.jacobian, estimation.block_rows)
+    best = engine.fit(_Scaled(estimation, parameters, rough), start, settings, jacobian=jacobian)
+    return Fit(tuple(parameters), best.values, best.residual, best.jacobian, estimation.block_rows)
 
 
-def _batched(estimation: EstimationProblem, parameters: Sequence[Parameter], rough: int = 0) -> BatchedProblem:
-    def evaluated(problem: EstimationProblem) -> Callable[[Sequence[FloatArray]], Iterator[FloatArray]]:
-        return lambda points: problem.residuals([values_at(parameters, z) for z in points])
+class _Scaled(FittedProblem):
+    """Parameters in units of their priors' standard deviations; what is simulated is the whitened residual itself."""
 
-    quick = evaluated(replace(estimation, coarse=True)) if rough and not estimation.coarse else None
-    return BatchedProblem(evaluated(estimation), *limits_of(parameters), quick, rough)
+    def __init__(self, estimation: EstimationProblem, parameters: Sequence[Parameter], rough: int) -> None:
+        self.estimation, self.parameters, self.rough = estimation, parameters, rough
+        self.unknowns = [
+            Unknown(n.name, 0.0, 1.0, (n.low - n.start) / n.sd, (n.high - n.start) / n.sd, STEP) for n in parameters
+        ]
+        self.observations = [Observation(estimation.measured, np.ones(len(estimation.measured)))]
+        self.expected_cost = float(len(estimation.measured))
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        return self.estimation.residuals([values_at(self.parameters, z) for z in lanes])
+
+    def whitened(self, simulated: FloatArray, sd: FloatArray) -> FloatArray:
+        return simulated
+
+    def scatter(self, residual: FloatArray) -> float:
+        return overdispersion(float(residual @ residual) / len(residual), self.estimation.block_rows)
+
+    def precision(self, residual: FloatArray) -> FloatArray:
+        return np.where(believed(self.parameters), self.scatter(residual), 1.0)
+
+    def by_fidelity(self, columns: Sequence[int]) -> list[tuple[FittedProblem, Sequence[int]]]:
+        rough = 0 if self.estimation.coarse else self.rough
+        quick = _Scaled(replace(self.estimation, coarse=True), self.parameters, 0)
+        return [(self, [i for i in columns if i >= rough]), (quick, [i for i in columns if i < rough])]
 
 
 # ---- intervals -----------------------------------------------------------------------------------

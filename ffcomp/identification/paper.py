@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from ffcomp.errors import MeasurementError, SolverError
 from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, fit_machine
 from ffcomp.identification.rational import RationalFit, fit_rational
 from ffcomp.identification.uncertainty import Joint
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
-from ffcomp.numerics.least_squares import minimise
 from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray, constant
 from models.kinds import delta_vibration, with_parts
@@ -226,10 +226,10 @@ def _solved(
             [*(w @ error[a:e] for w, a, e in zip(whiten, ends, ends[1:], strict=False)), extra(numbers)]
         )
 
-    best = minimise(residual, start / unit, evaluations=2000)
-    covariance = _inverse(best.jacobian.T @ best.jacobian) * np.outer(unit, unit)
-    freedom = len(best.residual) - len(start)
-    consistency = best.cost / freedom
+    best = least_squares(residual, start / unit, method="lm", x_scale="jac", max_nfev=2000)
+    covariance = _inverse(best.jac.T @ best.jac) * np.outer(unit, unit)
+    freedom = len(best.fun) - len(start)
+    consistency = 2 * float(best.cost) / freedom
     wider = max(1.0, consistency) if freedom >= SURE_FREEDOM else 1.0
     return Joint(tuple(names), best.x * unit, covariance * wider), consistency
 

@@ -1,4 +1,4 @@
-"""The covariance of a fit whose errors are correlated within clusters: one motion, or neighbouring lines."""
+"""The covariance and the scatter of a fit whose errors are correlated within clusters: a motion, or near lines."""
 
 from __future__ import annotations
 
@@ -50,3 +50,19 @@ def clustered_covariance(
     spread = np.einsum("ij,jk,ik->i", root, moved + by_itself, root)
     wider = np.sqrt(np.maximum(1.0, spread / np.maximum(np.diag(bread), 1e-300)))
     return bread * np.outer(wider, wider)
+
+
+def overdispersion(misfit: float, block_rows: float) -> float:
+    """Return the ratio of the scatter of |r|² from noise and model error to that from noise alone.
+
+    The shapes of a model are never exactly those of a machine. Of a misfit v, 1/v is noise, which is white, and the
+    rest is model error, which keeps its sign over a block of rows: quasi-likelihood with correlated errors (McCullagh &
+    Nelder, Generalized Linear Models, 1989, chapter 9).
+
+    Parameters
+    ----------
+    misfit : the mean square of the whitened residual; below one it counts as one.
+    block_rows : rows over which the model's error keeps its sign.
+    """
+    v = max(misfit, 1.0)
+    return v * (1 + (block_rows - 1) * (1 - 1 / v))

@@ -20,7 +20,6 @@ import numpy as np
 
 from ffcomp.inference.covariance import clustered_covariance
 from ffcomp.inference.problem import SMALLEST_ERROR, EstimationProblem
-from ffcomp.numerics.least_squares import bounded_step
 from models.arrays import FloatArray
 
 DAMPINGS = (1e1, 1e2, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help
@@ -28,6 +27,7 @@ SMALLEST_DAMPING = 1e-3
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 TRUSTED_GAIN = 0.3  # of its predicted gain a step must reach, or derivatives that were kept are too old
 MOST_CHANGE, FINEST = 30.0, 1e-3  # a difference's step shrinks, at most to this share, where it changes more than that
+MOST_PASSES = 1000  # of the search for the bounds that a step meets
 SETTLED = 0.05  # of a model error: less change ends the rounds
 
 
@@ -52,6 +52,9 @@ class FitSettings:
     share: float = 1e-12  # or less than this share of the cost
     keep: bool = False  # derivatives from step to step: for simulations that cost much
     exact_end: bool = False  # central differences at the end make the covariance exact
+    exact: bool = False  # central differences wherever all derivatives are taken
+    renew: Sequence[int] = ()  # unknowns whose derivatives are taken at every step although the others are kept
+    renew_all: bool = True  # all derivatives that were kept where no step helps
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ class FitResult(Generic[P]):
     jacobian: FloatArray  # (rows, p) of the simulation, in the same units
     sd: FloatArray  # (rows,)
     errors: FloatArray  # (o,) the model's own relative error in each observation
+    precision: FloatArray  # (p,) of the prior
     status: Status = Status.RAN_OUT
     n_evaluations: int = 0
     history: tuple[float, ...] = ()  # the cost after each step
@@ -74,8 +78,8 @@ class FitResult(Generic[P]):
     @cached_property
     def cost(self) -> float:
         """χ² and the prior's part."""
-        mean, precision = self.problem.prior
-        cost = float(self.residual @ self.residual + precision @ (self.values - mean) ** 2)
+        mean, _ = self.problem.prior
+        cost = float(self.residual @ self.residual + self.precision @ (self.values - mean) ** 2)
         return cost if np.isfinite(cost) else np.inf
 
     @cached_property
@@ -86,7 +90,7 @@ class FitResult(Generic[P]):
     @cached_property
     def information(self) -> FloatArray:
         """(p, p) JᵀJ and the prior's precision."""
-        return self.jacobian.T @ self.jacobian + np.diag(self.problem.prior[1])
+        return self.jacobian.T @ self.jacobian + np.diag(self.precision)
 
     @property
     def evidence(self) -> float:
@@ -104,31 +108,15 @@ class FitResult(Generic[P]):
     @property
     def gradient(self) -> FloatArray:
         """(p,) half of what the cost falls by with each value, at first."""
-        mean, precision = self.problem.prior
-        return self.jacobian.T @ self.residual - precision * (self.values - mean)
+        mean, _ = self.problem.prior
+        return self.jacobian.T @ self.residual - self.precision * (self.values - mean)
 
     def step(self, damping: float = 0.0) -> FloatArray:
-        """Return a step (p,) to the least of the quadratic model, with values at their bounds where it lies beyond."""
+        """Return a step (p,) to the least of the quadratic model inside the bounds."""
         low, high = (limit - self.values for limit in self.problem.limits)
         size = np.diag(self.information)
-        scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
-        normal = self.information * np.outer(scale, scale) + (damping + RIDGE) * np.eye(len(scale))
-        gradient, step, free = scale * self.gradient, np.zeros(len(scale)), (high > low) & (size > 0)
-        while free.any():
-            rest = gradient[free] - normal[np.ix_(free, ~free)] @ (step[~free] / scale[~free])
-            step[free] = scale[free] * np.linalg.solve(normal[np.ix_(free, free)], rest)
-            beyond = free & ((step < low) | (step > high))
-            if not beyond.any():
-                break
-            step, free = np.clip(step, low, high), free & ~beyond
-        return step
-
-    @cached_property
-    def predicted_gain(self) -> float:
-        """The decrease of the cost by the best step, were the simulation linear."""
-        low, high = (limit - self.values for limit in self.problem.limits)
-        idle = np.diag(self.information) == 0  # values that move nothing, as those of a mode without a share
-        return self.gain(bounded_step(self.information + np.diag(idle * 1.0), self.gradient, low, high))
+        more = np.where(size > 0, damping * size, 1.0)  # values that move nothing, as of a mode without a share, stay
+        return bounded_step(self.information + np.diag(more), self.gradient, low, high)
 
     def gain(self, step: FloatArray) -> float:
         """Return the decrease of the cost by a step (p,), were the simulation linear."""
@@ -150,7 +138,6 @@ def fit(
     settings: FitSettings = FitSettings(),
     *,
     errors: FloatArray | None = None,
-    sd: FloatArray | None = None,
     jacobian: FloatArray | None = None,
     progress: Callable[[FitResult[P]], None] = lambda _: None,
 ) -> FitResult[P]:
@@ -159,13 +146,12 @@ def fit(
     Parameters
     ----------
     errors : (o,) the model's errors to begin with; None: one for all, as the start leaves.
-    sd : (rows,) standard deviations in place of those that follow from the errors.
     jacobian : (rows, p) of the simulation, in standard deviations, to begin with.
     progress : called with the result of each round.
     """
     run = _Run(problem, settings)
-    here = run.begin(start, errors, sd, jacobian)
-    here, status = run.descend(here, fresh=jacobian is None)
+    here = run.begin(start, errors, jacobian)
+    here, status = run.descend(here, fresh=jacobian is None or settings.exact)
     progress(here)
     for number in range(settings.rounds):
         now = problem.errors_of(here.residual * here.sd)
@@ -176,11 +162,33 @@ def fit(
         if number + 1 == settings.rounds:
             status = Status.RAN_OUT
             break
-        here, status = run.descend(here, fresh=problem.slopes is not EstimationProblem.slopes)
+        here, status = run.descend(here, fresh=True)
         progress(here)
     if settings.exact_end:
         here = run.renewed(here, central=True)
     return replace(here, status=status, n_evaluations=run.count, history=tuple(run.history))
+
+
+def derivatives(
+    problem: EstimationProblem,
+    values: FloatArray,
+    residual: FloatArray,
+    sd: FloatArray,
+    columns: Sequence[int],
+    central: bool = False,
+    sizes: FloatArray | None = None,
+) -> FloatArray:
+    """Differentiate the simulation by some unknowns, (rows, len(columns)) in standard deviations, by differences.
+
+    One-sided ones turn inward at a bound. Central ones cost twice as much, and are worth it at the end of a fit: the
+    effects of confounded unknowns (a heavier machine on stiffer belts) cancel in exact derivatives only.
+
+    Parameters
+    ----------
+    sizes : (p,) about how much the residual changes with each unknown, which sets the steps.
+    """
+    sizes = np.zeros(len(values)) if sizes is None else sizes
+    return _Run(problem, FitSettings()).differences(values, residual, sd, columns, central, sizes)
 
 
 def best_of(results: Iterable[FitResult[P]], enough: Callable[[FitResult[P]], bool] = lambda _: False) -> FitResult[P]:
@@ -210,45 +218,45 @@ class _Run(Generic[P]):
         self.problem, self.settings = problem, settings
         self.count, self.history = 0, list[float]()
 
-    def evaluated(self, lanes: Sequence[FloatArray], sd: FloatArray) -> list[FloatArray]:
-        self.count += len(lanes)
-        return [self.problem.whitened(simulated, sd) for simulated in self.problem.simulate(lanes)]
+    def evaluated(
+        self, lanes: Sequence[FloatArray], sd: FloatArray, problem: EstimationProblem | None = None
+    ) -> list[FloatArray]:
+        self.count, problem = self.count + len(lanes), problem or self.problem
+        return [problem.whitened(simulated, sd) for simulated in problem.simulate(lanes)]
 
-    def begin(
-        self, start: FloatArray, errors: FloatArray | None, sd: FloatArray | None, jacobian: FloatArray | None
-    ) -> FitResult[P]:
-        values = np.clip(start, *self.problem.limits)
-        nothing = np.zeros(len(self.problem.observations))
-        if errors is None and sd is None and self.settings.rounds:
-            ones = np.ones(len(self.problem.measured))
-            errors = self.problem.errors_of(self.evaluated([values], ones)[0], together=True)
-        errors = nothing if errors is None else errors
-        sd = self.problem.deviations(errors) if sd is None else sd
+    def begin(self, start: FloatArray, errors: FloatArray | None, jacobian: FloatArray | None) -> FitResult[P]:
+        problem, settings = self.problem, self.settings
+        values = np.clip(start, *problem.limits)
+        if errors is None and settings.rounds:
+            ones = np.ones(len(problem.measured))
+            errors = problem.errors_of(self.evaluated([values], ones)[0], together=True)
+        errors = np.zeros(len(problem.observations)) if errors is None else errors
+        sd = problem.deviations(errors)
         (residual,) = self.evaluated([values], sd)
-        empty = np.zeros((len(residual), len(values)))
-        here = FitResult(self.problem, values, residual, empty if jacobian is None else jacobian, sd, errors)
-        return self.renewed(here, central=self.settings.keep) if jacobian is None else here
+        known = np.zeros((len(residual), len(values))) if jacobian is None else jacobian
+        here = FitResult(problem, values, residual, known, sd, errors, problem.prior[1])
+        if jacobian is None or settings.exact:
+            here = self.renewed(here, central=settings.keep or settings.exact)
+        return here
 
     def descend(self, here: FitResult[P], fresh: bool) -> tuple[FitResult[P], Status]:
         """Take steps until the best one gains too little."""
-        damping = 0.0
-        for _ in range(self.settings.steps):
-            misfit = max(1.0, here.cost / len(here.residual))
-            least = max(self.settings.gain * misfit, self.settings.share * here.cost)
+        damping, settings, problem = 0.0, self.settings, self.problem
+        for _ in range(settings.steps):
+            beyond = max(here.cost - problem.expected_cost, 0.0)
+            least = max(settings.gain * problem.scatter(here.residual), settings.share * beyond)
+            here = replace(here, precision=problem.precision(here.residual))
             predicted = here.gain(here.step())
-            if predicted < least:  # of a step that may have kept too many bounds
-                predicted = here.predicted_gain
             better = None if predicted < least else self.stepped(here, damping)
-            if better is None and fresh:
+            if better is None and (fresh or not settings.renew_all):
                 return here, Status.CONVERGED if predicted < least else Status.STALLED
             gained = 0.0
             if better is not None:
                 gained = here.cost - better[0].cost
                 here, damping = better
                 self.history.append(here.cost)
-            fresh = not self.settings.keep or gained < TRUSTED_GAIN * predicted
-            if fresh:
-                here = self.renewed(here)
+            fresh = not settings.keep or gained < TRUSTED_GAIN * predicted
+            here = self.renewed(here, central=settings.exact) if fresh else self.renewed(here, settings.renew)
         return here, Status.RAN_OUT
 
     def stepped(self, here: FitResult[P], damping: float) -> tuple[FitResult[P], float] | None:
@@ -267,28 +275,50 @@ class _Run(Generic[P]):
                 return there, used / 10 if used > SMALLEST_DAMPING else 0.0
         return None
 
-    def renewed(self, here: FitResult[P], central: bool = False) -> FitResult[P]:
-        """Take all derivatives again: in closed form, or by differences, which turn inward at a bound."""
+    def renewed(self, here: FitResult[P], columns: Sequence[int] | None = None, central: bool = False) -> FitResult[P]:
+        """Take derivatives again, by some unknowns or all: in closed form, or by differences."""
         exact = self.problem.slopes(here.values)
         if exact is not None:
             return replace(here, jacobian=np.nan_to_num(exact / here.sd[:, None]))
-        size = np.linalg.norm(here.jacobian, axis=0)
-        steps = np.array([u.step for u in self.problem.unknowns])
-        fine = MOST_CHANGE / np.maximum(size * steps, 1e-300)
-        steps = steps * np.clip(np.where(size > 0, fine, 1.0), FINEST, 1.0)
-        low, high = self.problem.limits
-        pairs = []
-        for i, step in enumerate(steps):
-            ahead, behind = here.values.copy(), here.values.copy()
-            ahead[i], behind[i] = min(ahead[i] + step, high[i]), max(behind[i] - step, low[i])
-            pairs.append((here.values if ahead[i] > here.values[i] and not central else behind, ahead))
-        lanes = [lane for pair in pairs for lane in pair if lane is not here.values]
-        found = iter(self.evaluated(lanes, here.sd))
-        jacobian = np.zeros_like(here.jacobian)
-        for i, pair in enumerate(pairs):
-            below, above = (here.residual if lane is here.values else next(found) for lane in pair)
-            jacobian[:, i] = (below - above) / max(pair[1][i] - pair[0][i], 1e-300)
+        columns = range(len(here.values)) if columns is None else columns
+        if not len(columns):
+            return here
+        jacobian, sizes = here.jacobian.copy(), np.linalg.norm(here.jacobian, axis=0)
+        jacobian[:, list(columns)] = self.differences(here.values, here.residual, here.sd, columns, central, sizes)
         return replace(here, jacobian=jacobian)
+
+    def differences(
+        self,
+        values: FloatArray,
+        residual: FloatArray,
+        sd: FloatArray,
+        columns: Sequence[int],
+        central: bool,
+        sizes: FloatArray,
+    ) -> FloatArray:
+        """Differentiate, see `derivatives`."""
+        pairs, found = {i: self.pair(values, i, float(sizes[i]), central) for i in columns}, dict[int, FloatArray]()
+        for problem, own in [(self.problem, columns)] if central else self.problem.by_fidelity(columns):
+            if not own:
+                continue
+            here = residual if problem is self.problem else self.evaluated([values], sd, problem)[0]
+            lanes = [lane for i in own for lane in pairs[i] if lane is not values]
+            moved = iter(self.evaluated(lanes, sd, problem))
+            for i in own:
+                below, above = (here if lane is values else next(moved) for lane in pairs[i])
+                slope = (below - above) / max(pairs[i][1][i] - pairs[i][0][i], 1e-300)
+                found[i] = np.where(np.isfinite(slope), slope, 0.0)
+        return np.stack([found[i] for i in columns], axis=1)
+
+    def pair(self, values: FloatArray, i: int, size: float, central: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the values with unknown i a step lower and higher; unmoved at a bound, or where one side is enough."""
+        step, (low, high) = self.problem.unknowns[i].step, self.problem.limits
+        if size > 0:
+            step *= float(np.clip(MOST_CHANGE / (size * step), FINEST, 1.0))
+        behind, ahead = values.copy(), values.copy()
+        behind[i], ahead[i] = max(values[i] - step, low[i]), min(values[i] + step, high[i])
+        above = ahead if ahead[i] > values[i] else values
+        return (behind if behind[i] < values[i] and (central or above is values) else values), above
 
 
 def _secant(here: FitResult[P], there: FitResult[P]) -> FitResult[P]:
@@ -299,3 +329,33 @@ def _secant(here: FitResult[P], there: FitResult[P]) -> FitResult[P]:
     scaled = step * np.where(precision > 0, precision, np.diag(here.information))
     jacobian = here.jacobian + np.outer(change - here.jacobian @ step, scaled) / (scaled @ step)
     return replace(there, jacobian=jacobian)
+
+
+def bounded_step(normal: FloatArray, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Minimise ½ sᵀNs − gᵀs with low ≤ s ≤ high, N positive definite.
+
+    As least squares, |Lᵀs − L⁻¹g|² with N = L Lᵀ scaled to a diagonal of ones, so that confounded unknowns share a
+    step (bounded-variable least squares: Stark & Parker, Comp. Stat. 10, 1995).
+
+    Parameters
+    ----------
+    normal : (p, p).
+    gradient, low, high : (p,).
+    """
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import lsq_linear
+
+    free = high > low
+    step = np.zeros(len(gradient))
+    if not free.any():
+        return step
+    scale = 1 / np.sqrt(np.diag(normal)[free])
+    regular = normal[np.ix_(free, free)] * np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+    lower = np.linalg.cholesky(regular)
+    right = solve_triangular(lower, scale * gradient[free], lower=True)
+    bounds = (np.minimum(low[free], 0.0) / scale, np.maximum(high[free], 0.0) / scale)
+    inside = solve_triangular(lower, right, lower=True, trans="T")
+    if not np.all((bounds[0] <= inside) & (inside <= bounds[1])):
+        inside = lsq_linear(lower.T, right, bounds, "bvls", tol=1e-14, max_iter=MOST_PASSES).x
+    step[free] = scale * inside
+    return step

@@ -73,6 +73,7 @@ class EstimationProblem(ABC):
 
     unknowns: Sequence[Unknown]
     observations: Sequence[Observation]
+    expected_cost: float = 0.0  # of noise, which no step takes off
 
     @abstractmethod
     def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
@@ -84,6 +85,22 @@ class EstimationProblem(ABC):
     def slopes(self, values: FloatArray) -> FloatArray | None:
         """Differentiate the simulation in closed form, (rows, p); None: by differences."""
         return None
+
+    def scatter(self, residual: FloatArray) -> float:
+        """Return how many times as much as by noise χ² scatters with a residual (rows,): a gain counts against it."""
+        return max(1.0, float(residual @ residual) / len(residual))
+
+    def precision(self, residual: FloatArray) -> FloatArray:
+        """Return the prior's precision (p,) next to a residual (rows,); override it to temper the likelihood.
+
+        Times φ, the overdispersion, a prior holds unknowns that hardly matter against the model's error, and falls with
+        it (Grünwald & van Ommen, Bayesian Analysis 12, 2017).
+        """
+        return self.prior[1]
+
+    def by_fidelity(self, columns: Sequence[int]) -> list[tuple[EstimationProblem, Sequence[int]]]:
+        """Return by which problem one-sided differences are taken of which unknowns; quicker ones serve as well."""
+        return [(self, columns)]
 
     def whitened(self, simulated: FloatArray, sd: FloatArray) -> FloatArray:
         """Return the residual (rows,) in standard deviations; override it to take out linear nuisance parameters."""

@@ -37,7 +37,6 @@ from ffcomp.identification.page.lines import STEP_MM, ReadLine
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.inference.fit import FitResult, FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown, model_error
-from ffcomp.numerics.least_squares import central_differences
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Experiment, Motion
 from models.arrays import BoolArray, FloatArray
@@ -742,7 +741,8 @@ def _modes(fitted: FitResult[_Page], covariance: FloatArray, second: Sequence[st
             same = np.abs(np.log(modes.frequencies_hz / hz[:, None])).argmin(axis=1)  # one may cease to swing
             return np.log(np.concatenate([modes.frequencies_hz[same], modes.damping_ratios[same]]))
 
-        slope = central_differences(both, fitted.values, steps)
+        moved = [both(fitted.values + step) - both(fitted.values - step) for step in np.diag(steps)]
+        slope = np.stack(moved, axis=1) / (2 * steps)
         spread = np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope))
         if page.machine.vibration.position_dependent:
             spread[:count] = np.hypot(spread[:count], TOWERS)

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
 from ffcomp.errors import MeasurementError
-from ffcomp.numerics.least_squares import minimise
 from ffcomp.record.page import DISC_MM, TWIN_MM, discs_of, last_line, twins
 from ffcomp.record.plan import Plan
 from models.arrays import FloatArray, IntArray
@@ -112,7 +112,8 @@ class Sight:
             return np.append(np.sum(gap * counts, axis=1) / sd, z[8:])
 
         start = np.append(np.zeros(8), self.barrel / BARREL_SD)
-        perspective, barrel = mapped(minimise(residual, start, evaluations=2000, tolerance=1e-7).x)
+        found = least_squares(residual, start, method="lm", x_scale="jac", ftol=1e-7, max_nfev=2000)
+        perspective, barrel = mapped(found.x)
         return Sight(self.picture, perspective, barrel, self.discs, self.disc_mm, self.disc_px, self.wobble)
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.inference.fit import FitResult, FitSettings, Status, best_of, fit
+from ffcomp.inference.covariance import overdispersion
+from ffcomp.inference.fit import FitResult, FitSettings, Status, best_of, bounded_step, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from models.arrays import FloatArray
 
@@ -143,3 +144,59 @@ def test_recordings_of_one_motion_err_alike() -> None:
     once = recordings(3, 0.03)[:1]
     apart, together = (constant([replace(each, motion=motion) for each in once * 4]) for motion in (None, "same"))
     assert together.covariance[0, 0] == pytest.approx(4 * apart.covariance[0, 0], rel=0.1)
+
+
+# ---- a likelihood that is tempered ---------------------------------------------------------------
+
+
+class Tempered(Line):
+    """A line whose prior counts as much as model error scatters χ²."""
+
+    def precision(self, residual: FloatArray) -> FloatArray:
+        return np.full(2, overdispersion(float(residual @ residual) / len(residual), 20.0))
+
+
+def test_model_error_leaves_an_unknown_that_hardly_matters_at_its_prior() -> None:
+    """A slow wave that no unknown makes, and a second unknown that takes off a thousandth of it for three deviations.
+
+    The minimum of |r|² + φ|z|² is where the normal equations with the φ of its own residual say.
+    """
+    t = np.linspace(0.0, 1.0, 1000)
+    columns = np.stack([1e3 * np.cos(40 * t), 3.0 * np.sin(9 * t)], axis=1)
+    y = columns @ [2.0, 3.0] + 300 * np.sin(7 * t)
+    seen, unknowns = [Observation(y, np.ones(1000))], [Unknown(n, 0.0, 1.0, -5.0, 5.0, 0.01) for n in "ab"]
+    assert fit(Line(columns, seen, unknowns), np.zeros(2)).values[1] == pytest.approx(5.0)
+    found = fit(Tempered(columns, seen, unknowns), np.zeros(2), FitSettings(keep=True))
+    phi = overdispersion(float(found.residual @ found.residual) / len(t), 20.0)
+    best = np.linalg.solve(phi * np.eye(2) + columns.T @ columns, columns.T @ y)
+    np.testing.assert_allclose(found.values, best, atol=1e-3)
+
+
+# ---- a step inside bounds ------------------------------------------------------------------------
+
+
+def test_confounded_unknowns_share_a_step() -> None:
+    """A normal matrix that is singular to rounding: the step still goes down, and no farther than needed."""
+    column = 1e9 * np.ones((50, 1)) + np.arange(50)[:, None]
+    jacobian = np.hstack([column, column, np.arange(50.0)[:, None]])
+    normal = np.eye(3) + jacobian.T @ jacobian
+    step = bounded_step(normal, jacobian.T @ np.arange(50.0), np.full(3, -np.inf), np.full(3, np.inf))
+    assert np.all(np.isfinite(step))
+    assert step[0] == pytest.approx(step[1], rel=1e-3, abs=1e-6)
+    assert step[2] == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_bounded_step_is_the_best_inside_the_bounds(seed: int) -> None:
+    """At the least of a convex parabola in a box, the slope points outward at every wall and is zero elsewhere."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(60, 12)) @ rng.normal(size=(12, 12))
+    normal, gradient = np.eye(12) + jacobian.T @ jacobian, jacobian.T @ rng.normal(size=60) * 300
+    z = rng.uniform(-1, 1, 12)
+    step = bounded_step(normal, gradient, -1 - z, 1 - z)
+    slope, at = gradient - normal @ step, z + step
+    assert np.all(np.abs(at) <= 1 + 1e-12)
+    inside = np.abs(at) < 1 - 1e-9
+    assert np.abs(slope[inside]).max(initial=0.0) < 1e-6 * np.abs(gradient).max()
+    assert np.all(slope[~inside] * at[~inside] > -1e-6 * np.abs(gradient).max())
+    assert (~inside).any()  # the parabola is long enough to reach them
