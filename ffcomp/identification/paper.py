@@ -15,7 +15,7 @@ centre does not move a carriage on the x axis, which leaves eight of the nine re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -24,11 +24,12 @@ from scipy.optimize import least_squares
 
 from ffcomp.errors import MeasurementError, SolverError
 from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, fit_machine
-from ffcomp.identification.rational import RationalFit, fit_rational
 from ffcomp.identification.uncertainty import Joint
+from ffcomp.inference.fit import FitSettings, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from ffcomp.numerics.serialise import keys
-from models.arrays import FloatArray, constant
+from models.arrays import ComplexArray, FloatArray, constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.substructures import Carriage, Drive
@@ -47,6 +48,8 @@ SILENT = 0.05  # of the largest response of an axis: below it a carriage does no
 
 SURE_FREEDOM = 5  # degrees of freedom: with as many, a large χ² widens the intervals
 WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
+ITERATIONS = 30  # of the linear step: it either converges in ten or never
+OUTPUT_ERROR = FitSettings(steps=200, gain=1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,7 @@ def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
 
 def _carriage_start(alone: RationalFit, loaded: RationalFit, added_kg: float) -> FloatArray:
     """Begin at the paper's closed forms: the pole moved by the mass is the carriage's, the other one the drive's."""
-    free, held = (fit.poles[fit.poles.imag > 0] for fit in (alone, loaded))
+    free, held = (each.poles[each.poles.imag > 0] for each in (alone, loaded))
     if len(free) < 2 or len(held) < 2:
         raise SolverError("The carriage's response does not show two oscillating poles (belt and drive, Eq. 42).")
     pairs = [(i, j) for i in range(2) for j in range(2)]
@@ -126,12 +129,12 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
     Only the ratio of zero to pole and the weight give the masses, so the hammer needs no calibration; its gain is
     fitted too.
     """
-    fit = fit_rational(struck, 2, 2)
-    zero, pole = abs(fit.zeros[-1]), abs(fit.poles[-1])
+    rational = fit_rational(struck, 2, 2)
+    zero, pole = abs(rational.zeros[-1]), abs(rational.poles[-1])
     m1 = total_mass_kg * min((zero / pole) ** 2, 0.999)  # Eq. 49
     m2 = total_mass_kg - m1
-    damping = max(-2 * fit.zeros[-1].real, 1e-3 * zero)
-    start = np.array([m1, m2, damping * m2, zero**2 * m2, fit.numerator[2] * m1])
+    damping = max(-2 * rational.zeros[-1].real, 1e-3 * zero)
+    start = np.array([m1, m2, damping * m2, zero**2 * m2, rational.numerator[2] * m1])
 
     def equations(numbers: FloatArray) -> FloatArray:
         m1, m2, b, k, gain = numbers
@@ -143,7 +146,7 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
 
     axis = struck.input.split("_")[-1]
     names = ("m1", "m2", f"b_{axis}", f"k_{axis}", "gain")
-    joint, consistency = _solved(names, start, equations, [fit], weighed)
+    joint, consistency = _solved(names, start, equations, [rational], weighed)
     return Step(f"hammer {axis}", joint, consistency)
 
 
@@ -214,8 +217,8 @@ def _solved(
     extra: Callable[[FloatArray], FloatArray],
 ) -> tuple[Joint, float]:
     """Solve coefficients = equations(parameters) by weighted least squares, with further whitened residuals `extra`."""
-    coefficients = np.concatenate([fit.coefficients for fit in fits])
-    whiten = [np.linalg.cholesky(_positive(_inverse(fit.covariance))).T for fit in fits]
+    coefficients = np.concatenate([each.coefficients for each in fits])
+    whiten = [np.linalg.cholesky(_positive(_inverse(each.covariance))).T for each in fits]
     ends = np.cumsum([0, *(len(w) for w in whiten)])
     unit = np.where(start == 0, 1.0, np.abs(start))
 
@@ -243,6 +246,125 @@ def _inverse(information: FloatArray) -> FloatArray:
 def _positive(matrix: FloatArray) -> FloatArray:
     """Make a matrix symmetric, with a diagonal that rounding cannot turn negative."""
     return np.asarray((matrix + matrix.T) / 2 + 1e-12 * np.diag(np.diag(matrix)))
+
+
+# ---- coefficients from a response ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class RationalFit:
+    """H(s) = (b_0 + b_1 s + …)/(a_0 + a_1 s + … + s^n): the coefficients, lowest power first."""
+
+    numerator: FloatArray  # (nb + 1,)
+    denominator: FloatArray  # (na + 1,), the last one is 1
+    covariance: FloatArray  # (p, p), p = nb + 1 + na: the numerator, then the denominator without its 1
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """(p,) all but the denominator's 1."""
+        return np.append(self.numerator, self.denominator[:-1])
+
+    @property
+    def poles(self) -> ComplexArray:
+        """(na,) 1/s, slowest first."""
+        return _roots(self.denominator)
+
+    @property
+    def zeros(self) -> ComplexArray:
+        """(nb,) 1/s, slowest first."""
+        return _roots(self.numerator)
+
+
+def _roots(polynomial: FloatArray) -> ComplexArray:
+    roots = np.roots(polynomial[::-1]).astype(np.complex128)
+    return roots[np.argsort(np.abs(roots))]
+
+
+def fit_rational(response: FrequencyResponse, numerator_order: int, denominator_order: int) -> RationalFit:
+    """Fit a response, frequencies scaled to order one inside.
+
+    First the iteratively reweighted linear least squares of Sanathanan & Koerner (IEEE Trans. Autom. Control 8, 1963),
+    which needs no start; then the output error from the best of its iterates, which is the maximum-likelihood estimate
+    for circular complex noise of the stated variance (Pintelon & Schoukens, System Identification, 2012, 9.11).
+
+    Raises
+    ------
+    SolverError
+        If there are fewer measured values than unknowns, or no finite fit.
+    """
+    nb, na, lines = numerator_order, denominator_order, len(response.value)
+    unknowns = nb + 1 + na
+    if 2 * lines < unknowns + 1:
+        raise SolverError(f"{lines} measured values cannot determine a rational fit of {unknowns} coefficients.")
+    scale = float(np.max(np.abs(response.s))) / 2
+    problem = _Rational(response, scale, nb, na)
+    found = fit(problem, _linear_start(problem), OUTPUT_ERROR)
+    back = scale ** (na - np.concatenate([np.arange(nb + 1), np.arange(na)]).astype(float))
+    misfit = max(1.0, found.cost / max(2 * lines - unknowns, 1))
+    values = found.values * back
+    covariance = found.covariance * misfit * np.outer(back, back)
+    return RationalFit(values[:-na], np.append(values[-na:], 1.0), covariance)
+
+
+class _Rational(EstimationProblem):
+    """One fit in scaled frequency; unknowns are the numerator, then the denominator without its 1."""
+
+    def __init__(self, response: FrequencyResponse, scale: float, nb: int, na: int) -> None:
+        self.value, self.na = response.value, na
+        self.powers = np.vander(response.s / scale, max(nb, na) + 1, increasing=True)  # (k, ·)
+        self.above, self.below = self.powers[:, : nb + 1], self.powers[:, : na + 1]
+        self.unknowns = [*(Unknown(f"b{i}") for i in range(nb + 1)), *(Unknown(f"a{i}") for i in range(na))]
+        floor = 1e-12 * np.mean(np.abs(response.value) ** 2)  # noise-free data: finite weights all the same
+        self.observations = [Observation(_real(response.value), np.tile((response.variance + floor) / 2, 2))]
+
+    def parts(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Evaluate numerator and denominator, (k,) each."""
+        return self.above @ theta[: -self.na], self.below @ np.append(theta[-self.na :], 1.0)
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        for theta in lanes:
+            above, below = self.parts(theta)
+            yield _real(above / below)
+
+    def _columns(self, of_numerator: ComplexArray, of_denominator: ComplexArray) -> ComplexArray:
+        """Return (k, p) from the factors (k,) of the powers of x in numerator and denominator."""
+        return np.hstack([self.above * of_numerator[:, None], self.below[:, :-1] * of_denominator[:, None]])
+
+    def linear_step(self, below: ComplexArray) -> FloatArray:
+        """Minimise |w (N − H D)/D_before|: the Sanathanan-Koerner step."""
+        weight = 1 / (self.deviations(np.zeros(1))[: len(below)] * np.abs(below))
+        columns = _real(self._columns(weight.astype(np.complex128), -weight * self.value))
+        target = _real(weight * self.value * self.powers[:, self.na])
+        norm = np.linalg.norm(columns, axis=0)
+        norm[norm == 0] = 1.0
+        return np.asarray(np.linalg.lstsq(columns / norm, target, rcond=None)[0] / norm)
+
+
+def _real(values: ComplexArray) -> FloatArray:
+    return np.concatenate([values.real, values.imag])
+
+
+def _linear_start(problem: _Rational) -> FloatArray:
+    """Return the iterate with the smallest output error."""
+    below, sd = np.ones_like(problem.value), problem.deviations(np.zeros(1))
+    best, least = None, np.inf
+    for _ in range(ITERATIONS):
+        theta = problem.linear_step(below)
+        (simulated,) = problem.simulate([theta])
+        cost = float(np.sum(problem.whitened(simulated, sd) ** 2))
+        if np.isfinite(cost) and cost < least:
+            best, least = theta, cost
+        below = problem.parts(_stabilised(theta, problem.na))[1]
+    if best is None:
+        raise SolverError("No rational fit was found: the linear start never became finite.")
+    return best
+
+
+def _stabilised(theta: FloatArray, na: int) -> FloatArray:
+    """Mirror poles of the right half-plane into the left: only for the next weighting."""
+    roots = np.roots(np.append(theta[-na:], 1.0)[::-1])
+    roots = np.where(roots.real > 0, -roots.conj(), roots)
+    return np.concatenate([theta[:-na], np.real(np.poly(roots))[::-1][:-1]])
 
 
 # ---- all steps -----------------------------------------------------------------------------------

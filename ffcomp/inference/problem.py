@@ -69,7 +69,7 @@ def model_error(square: FloatArray, noise: FloatArray, size: FloatArray, unknown
 
 
 class EstimationProblem(ABC):
-    """Unknowns, observations, and what would have been observed with other values of the unknowns."""
+    """Unknowns, observations, and a simulation of the observations with other values of the unknowns."""
 
     unknowns: Sequence[Unknown]
     observations: Sequence[Observation]
@@ -87,7 +87,7 @@ class EstimationProblem(ABC):
         return None
 
     def scatter(self, residual: FloatArray) -> float:
-        """Return how many times as much as by noise χ² scatters with a residual (rows,): a gain counts against it."""
+        """Return the scatter of χ² with a residual (rows,), in times that of noise: a gain counts against it."""
         return max(1.0, float(residual @ residual) / len(residual))
 
     def precision(self, residual: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ class EstimationProblem(ABC):
         return self.prior[1]
 
     def by_fidelity(self, columns: Sequence[int]) -> list[tuple[EstimationProblem, Sequence[int]]]:
-        """Return by which problem one-sided differences are taken of which unknowns; quicker ones serve as well."""
+        """Return problems that take one-sided differences, each with its unknowns; quick ones serve too."""
         return [(self, columns)]
 
     def whitened(self, simulated: FloatArray, sd: FloatArray) -> FloatArray:

@@ -62,7 +62,7 @@ def to_json(value: Any) -> Any:
     Parameters
     ----------
     value : dataclass, mapping, array, path, enumeration member or plain value
-        Containers are converted recursively; what has a `to_dict` is what that returns.
+        Containers are converted recursively; an object with a `to_dict` becomes what that returns.
 
     Returns
     -------

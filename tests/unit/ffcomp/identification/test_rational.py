@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.identification.rational import fit_rational
+from ffcomp.identification.paper import fit_rational
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import load_machine
 from models.kinds import delta_vibration
