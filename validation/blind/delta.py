@@ -15,7 +15,7 @@ import numpy as np
 from validation.blind import effects
 from validation.blind.effects import SHARED, Drawn, by_name, of_kind
 from validation.blind.motions import Motion, Place, points
-from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, sign, told
+from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, larger, off_by, sign, told
 from validation.plants.delta_plant import carriages_of, paper_shares, simulate
 
 STEP_S, KEPT_EVERY = 1 / 12800, 2  # 6400 samples a second: what a sensor's clock then picks from
@@ -135,17 +135,11 @@ def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
 
 def probes(machine: Tables, by: float) -> Iterator[Tables]:
     """Yield the machine with one dynamic number larger by a share, one after the other."""
-    keys = [(table, key, None) for table, names in DYNAMIC.items() for key in names]
-    for table, key, inner in [*keys, *(("carriage", key, "drive") for key in machine["carriage"].get("drive", {}))]:
-        several = isinstance(machine[table].get(key), list)
-        for n in range(3 if several else 1):
-            probed = copy.deepcopy(machine)
-            numbers = probed[table] if inner is None else probed[table][inner]
-            if several:
-                numbers[key][n] *= 1 + by
-            else:
-                numbers[key] *= 1 + by
-            yield probed
+    for table, names in {**DYNAMIC, "carriage.drive": tuple(machine["carriage"].get("drive", {}))}.items():
+        for name in names:
+            several = table == "effector" and isinstance(machine[table][name], list)
+            for n in range(3) if several else (None,):
+                yield larger(machine, f"{table}.{name}", by, n)
 
 
 def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -101,6 +102,18 @@ def sign(rng: Rng) -> float:
 def off_by(error: float, rng: Rng) -> Callable[[float], float]:
     """Return a function that makes a number wrong by a normal error, within two deviations."""
     return lambda value: value * (1 + error * float(np.clip(rng.standard_normal(), -2.0, 2.0)))
+
+
+def larger(machine: Tables, key: str, share: float, n: int | None = None) -> Tables:
+    """Return the machine with the number at table.key (or its n-th) larger by a share."""
+    probed = copy.deepcopy(machine)
+    *tables, name = key.split(".")
+    numbers = reduce(dict.__getitem__, tables, probed)
+    if n is None:
+        numbers[name] *= 1 + share
+    else:
+        numbers[name][n] *= 1 + share
+    return probed
 
 
 def combined(machine: Any, probed: Sequence[Any], times: Sequence[float]) -> Any:

@@ -20,7 +20,7 @@ import numpy as np
 from validation.blind import effects
 from validation.blind.effects import by_name, of_kind
 from validation.blind.motions import Motion, points
-from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, sign
+from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, larger, sign
 from validation.blind.straight import AXIS, OF_PRINTERS, SHARED_BY_AXES, loose_load, masses, written
 from validation.blind.straight import restated_axis as restated
 from validation.plants.forced_axis import axis_of, follow, pushed, servo_of
@@ -80,11 +80,8 @@ def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
 def probes(machine: Tables, by: float) -> Iterator[Tables]:
     """Yield the axis with one number larger by a share, one after the other; and with another zero of its force."""
     for key in PROBED:
-        if machine["plant"][key][0] == 0.0:
-            continue
-        probed = copy.deepcopy(machine)
-        probed["plant"][key][0] *= 1 + by
-        yield probed
+        if machine["plant"][key][0] != 0.0:
+            yield larger(machine, f"plant.{key}", by, 0)
     probed = copy.deepcopy(machine)
     moved = machine["plant"]["carriage"][0] + machine["plant"]["tool"][0]
     probed["plant"]["offset"] += by * OFFSET_N_PER_KG * moved / 0.02

@@ -17,7 +17,7 @@ import numpy as np
 from validation.blind import effects
 from validation.blind.effects import SHARED, Drawn, by_name, of_kind, presliding
 from validation.blind.motions import Motion, Place, points
-from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, off_by, slowed, told
+from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, larger, off_by, slowed, told
 from validation.plants import straight_plant as plant
 from validation.plants.shapes import BREAKS, DAHL
 from validation.plants.straight_plant import turn_of
@@ -116,8 +116,7 @@ def probes(machine: Tables, by: float) -> Iterator[Tables]:
         for n in range(2):
             if machine["plant"][key][n] == 0.0:
                 continue
-            probed = copy.deepcopy(machine)
-            probed["plant"][key][n] *= 1 + by
+            probed = larger(machine, f"plant.{key}", by, n)
             if key == "tool":
                 probed["plant"]["carriage"][n] -= by * machine["plant"]["tool"][n]
             yield probed

@@ -218,23 +218,8 @@ def _load_shares(a: FloatArray, p: Plant, gamma: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _solve3(a: FloatArray, b: FloatArray) -> None:
-    """B ← a⁻¹ b, (3,), by Cramer's rule."""
-    b0, b1, b2 = b[0], b[1], b[2]
-    c0, c1 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1], a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
-    c2 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
-    whole = a[0, 0] * c0 + a[0, 1] * c1 + a[0, 2] * c2
-    d0, d1 = a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2], a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
-    d2 = a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
-    e0, e1 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1], a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]
-    e2 = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
-    b[0], b[1] = (c0 * b0 + d0 * b1 + e0 * b2) / whole, (c1 * b0 + d1 * b1 + e1 * b2) / whole
-    b[2] = (c2 * b0 + d2 * b1 + e2 * b2) / whole
-
-
-@njit(cache=True, error_model="numpy")
 def _eliminate(m: FloatArray, r: FloatArray) -> None:
-    """R ← m⁻¹ r, (5,), by elimination with row pivots; m is spent."""
+    """R ← m⁻¹ r, by elimination with row pivots; m is spent."""
     n = len(r)
     for k in range(n):
         best = k
@@ -307,7 +292,7 @@ def _rate(
         _frame(y, p, gamma, f, m, r)
         _eliminate(m, r)
     else:
-        _solve3(m, r)
+        _eliminate(m[:3, :3], r[:3])
     for j in range(3):
         felt = r[j]
         if p.more and j < 2:
@@ -488,10 +473,11 @@ def rest(command: FloatArray, p: Plant) -> FloatArray:
         for _ in range(50):
             _arms(y, p, a, q, dq, bend)
             step = target - q
-            _solve3(a, step)
+            _eliminate(a, step)
             y[X : X + 3] += step
             if np.max(np.abs(step)) < 1e-15:
                 break
+        _arms(y, p, a, q, dq, bend)
         _load_shares(a, p, gamma)
         for i in range(3):
             load = (p.carriage[i] + gamma[i, 2] * hung) * p.gravity + guide(0.0, q[i], 0.0, i, p)
