@@ -9,7 +9,9 @@ import gc
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -112,3 +114,20 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     Drawing takes half of the time of a verb that writes a page.
     """
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", save_nothing)
+
+
+@pytest.fixture(scope="session")
+def machine() -> Any:
+    """Return the delta of the paper, which no test changes."""
+    from tests.support import machines  # not read where nobody asks for it
+
+    return machines.machine()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Yield a running browser."""
+    from tests.support.browser import chromium
+
+    with chromium() as running:
+        yield running

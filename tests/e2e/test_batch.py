@@ -18,7 +18,6 @@ import pytest
 from ffcomp.compensation.batch import compensate_files, workers
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.result import Failure, FileResult
-from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import Result, ffcomp
 from tests.support.compensated import plainly
@@ -36,11 +35,6 @@ def a_print(size: int) -> bytes:
 
 def compensate(*arguments: str | Path, cwd: Path | None = None) -> Result:
     return ffcomp("compensate", "-m", "mp-delta-pro", "--robust", "off", "--no-predict", *arguments, cwd=cwd)
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def written(folder: Path) -> list[Path]:

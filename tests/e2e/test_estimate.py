@@ -16,33 +16,19 @@ from ffcomp.cli.app import app
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices
-from ffcomp.estimation.statistics import (
-    EXTRUDING,
-    PRIMING,
-    RETRACTING,
-    TRAVELLING,
-    WAITING,
-    Statistics,
-    seconds,
-)
+from ffcomp.estimation.statistics import EXTRUDING, PRIMING, RETRACTING, TRAVELLING, WAITING, Statistics, seconds
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
-from models.file import load_machine
-from models.machine import Machine
 from tests.support.cli import CliRunner, Result
 from tests.support.compensated import compensated as anywhere
+from tests.support.machines import machine
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_plan
 
 ROOT = Path(__file__).parents[2]
 PRINTS = ROOT / "sample_prints"
-
-
-@cache
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def estimated(data: bytes) -> Estimate:

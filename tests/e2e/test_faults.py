@@ -22,19 +22,13 @@ from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import failure_of
 from ffcomp.numerics.numba_cache import VARIABLE, ensure_cache_folder
 from gcode.embedded import already_processed, original
-from models.file import load_machine
-from models.machine import Machine
 from tests.support.compensated import plainly
+from tests.support.machines import machine
 
 resource = pytest.importorskip("resource", reason="These faults are made with a POSIX system's means.")
 
 ROOT = Path(__file__).parents[2]
 SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n;LAYER:0\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
-
-
-@cache
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 @cache

@@ -45,10 +45,7 @@ def beginning(path: Path) -> bytes:
 
 def job(data: bytes, path: Path) -> Job:
     own, offset = inverter(), OFFSETS.get(path.name, (0.0, 0.0))
-    options = plainly(
-        offset_mm=offset,
-        predict=False,
-    )
+    options = plainly(offset_mm=offset, predict=False)
     return Job(data, str(path), own.machine, options)
 
 

@@ -29,10 +29,7 @@ from validation.blind.kinds import KINDS as MACHINES
 from validation.blind.motions import KINDS, Motion
 from validation.blind.real import FloatArray, Reading, Real, toml_of
 from validation.blind.straight import effects_of
-from validation.blind.visible import (
-    Visibility,
-    visibility,
-)
+from validation.blind.visible import Visibility, visibility
 from validation.plants import delta_plant
 from validation.plants.delta_plant import Plant, carriages_of, plant_of
 

@@ -30,11 +30,6 @@ PRINTS = Path(__file__).parents[2] / "sample_prints"
 SMALL = 20_000  # bytes of a part
 
 
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
-
-
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many chunks of a small file."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,17 +18,8 @@ import pytest
 from ffcomp.comparison.evaluation import by
 from ffcomp.comparison.result import Comparison, Peaks
 from ffcomp.comparison.sentences import cautions, findings
-from tests.support.browser import Visit, chromium, visit
-from tests.support.comparison import (
-    LAYERS,
-    MACHINE,
-    NASTY,
-    changed,
-    comparison,
-    everything,
-    samples,
-    whole_page,
-)
+from tests.support.browser import Visit, visit
+from tests.support.comparison import LAYERS, MACHINE, NASTY, changed, comparison, everything, samples, whole_page
 
 
 def verdict(found: Comparison) -> list[str]:
@@ -111,12 +101,6 @@ def test_text_from_files_is_escaped(nasty_page: Path) -> None:
 
 
 # ---- in a browser --------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 def clean(seen: Visit) -> bool:

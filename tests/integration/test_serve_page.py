@@ -14,19 +14,13 @@ import pytest
 from ffcomp.cli.app import app
 from models.finding import user_folder
 from tests.support import stand_in
-from tests.support.browser import Visit, chromium, hard_to_read, visit
+from tests.support.browser import Visit, hard_to_read, visit
 from tests.support.cli import CliRunner
 from tests.support.server import client, started, uploaded, wait_for
 
 READY = ".machines optgroup"
 PRINT = Path(__file__).parents[2] / "docs" / "examples" / "wiggle.gcode"
 WAIT_MS = 60_000
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture

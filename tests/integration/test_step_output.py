@@ -14,18 +14,12 @@ from ffcomp.compensation.step_output import BEFORE_S
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
-from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import job
 from tests.support.prints import squares
 from tests.support.steps import read_events
 
 BOARD = Board(extruder_steps_per_mm=400.0)
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def steps_job(data: bytes, machine: Machine, error_s: float | None, **chosen: Any) -> Job:

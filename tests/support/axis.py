@@ -35,11 +35,5 @@ def write_axis(folder: Path) -> list[Path]:
     paths = [folder / f"push-{k}.csv" for k in (1, 2)]
     for path in paths:
         noisy = motion.position_mm + 1e-4 * rng.normal(size=len(t))
-        np.savetxt(
-            path,
-            np.column_stack([t, force, noisy]),
-            delimiter=",",
-            header="t_s,force_n,pos_q_mm",
-            comments="",
-        )
+        np.savetxt(path, np.column_stack([t, force, noisy]), delimiter=",", header="t_s,force_n,pos_q_mm", comments="")
     return paths

@@ -12,14 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.comparison.evaluation import by, contour_numbers
-from ffcomp.comparison.result import (
-    Comparison,
-    EqualQuality,
-    Family,
-    Method,
-    Peaks,
-    Samples,
-)
+from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Peaks, Samples
 from ffcomp.metrics import Track
 from models.file import load_machine
 

@@ -78,11 +78,7 @@ class _Writer:
         for _ in range(30):
             step = self.rng.normal(scale=self.rng.choice([0.01, 1.0, 30.0]), size=2)
             to = self.at + np.array([*step, 0.0])
-            self.go(
-                to,
-                filament=0.05 * float(np.hypot(*step)),
-                feed=self.feed() if self.rng.random() < 0.2 else None,
-            )
+            self.go(to, filament=0.05 * float(np.hypot(*step)), feed=self.feed() if self.rng.random() < 0.2 else None)
 
     def curve(self) -> None:
         """Many short moves that bend a little; the filament per mm wavers, as rounded numbers make it."""

@@ -8,16 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.metadata import (
-    Durations,
-    Tells,
-    Timed,
-    retold,
-    slicer_time_s,
-    stated_time,
-    tells,
-    with_time,
-)
+from gcode.metadata import Durations, Tells, Timed, retold, slicer_time_s, stated_time, tells, with_time
 from tests.support.data import real
 
 TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s

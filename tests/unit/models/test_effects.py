@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 
 from models import effects
-from models.effects.catalogue import (
-    CATALOGUE,
-    effective_machine,
-    effects_of,
-    measured,
-    values_of,
-    with_effect,
-)
+from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, measured, values_of, with_effect
 from models.effects.effect import Effect, EffectParameter, Signals
 from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine

@@ -19,15 +19,9 @@ from ffcomp.inverse.settings import CUT, Settings, settings_for
 from gcode.dialect import KLIPPER
 from gcode.embedded import original
 from gcode.reader import read_program
-from models.file import load_machine
-from models.machine import Machine
+from tests.support.machines import machine
 
 FloatArray = NDArray[np.float64]
-
-
-@cache
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 @cache

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,16 +19,11 @@ from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
 from gcode.words import Command, commands
-from models.file import load_machine
-from models.machine import Machine, RepRapFirmwareSettings
+from models.machine import RepRapFirmwareSettings
 from tests.support.compensated import compensated as anywhere
+from tests.support.machines import machine
 
 MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
-
-
-@cache
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def compensated(data: bytes, **options: Any) -> bytes:

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation.plan import RESIDUAL_MM, ringing_s, settling_waits
-from ffcomp.compensation.statistics import (
-    Amount,
-    Place,
-    Shares,
-    of_raw,
-)
+from ffcomp.compensation.statistics import Amount, Place, Shares, of_raw
 from ffcomp.firmware.program import PlannedProgram, plan_program, planner_of, raw_durations
 from ffcomp.numerics.serialise import to_json
 from gcode.reader import read_program

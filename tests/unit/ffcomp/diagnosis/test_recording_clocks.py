@@ -11,12 +11,7 @@ import pytest
 from ffcomp.diagnosis.noise import noise_from_repeats
 from ffcomp.diagnosis.problem import Observation, Repeats
 from ffcomp.diagnosis.problems import check_repeating
-from ffcomp.diagnosis.recording_clocks import (
-    aligned,
-    as_recorded,
-    delay_parameters,
-    repeats_of,
-)
+from ffcomp.diagnosis.recording_clocks import aligned, as_recorded, delay_parameters, repeats_of
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import delayed

@@ -9,12 +9,7 @@ from scipy.signal import butter, sosfilt
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
 from ffcomp.diagnosis.noise import NoiseFloor, whitener
 from ffcomp.diagnosis.problem import Observation
-from ffcomp.diagnosis.recording_faults import (
-    clipped_sensor,
-    fault_of_recordings,
-    odd_signal,
-    shaper_on,
-)
+from ffcomp.diagnosis.recording_faults import clipped_sensor, fault_of_recordings, odd_signal, shaper_on
 from ffcomp.measurement.faults import BadSensor, ShaperOn
 from ffcomp.numerics.delay import delayed
 from ffcomp.shapers.smooth import SHAPERS

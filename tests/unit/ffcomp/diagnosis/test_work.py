@@ -15,9 +15,7 @@ from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.fit import EstimationProblem, derivatives
 from ffcomp.diagnosis.noise import NoiseFloor, whitener
-from ffcomp.diagnosis.observations import (
-    EXCERPT_S,
-)
+from ffcomp.diagnosis.observations import EXCERPT_S
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
 from ffcomp.diagnosis.result import DiagnosisResult

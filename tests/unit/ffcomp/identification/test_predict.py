@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.identification.predict import (
-    log_error_db,
-    mean_absolute_percentage_accuracy,
-)
+from ffcomp.identification.predict import log_error_db, mean_absolute_percentage_accuracy
 
 LAG = np.exp(-1j * np.radians(np.linspace(20.0, 320.0, 247)))
 

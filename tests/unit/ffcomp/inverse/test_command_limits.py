@@ -18,18 +18,12 @@ from ffcomp.inverse.command_limits import (
     utilisation_from_rest,
 )
 from ffcomp.inverse.nearest import nearest_within_limits
-from models.file import load_machine
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
 
 S = 0.004
 DENSE = 400  # samples a segment
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def wild_command(seed: int, segments: int = 400) -> FloatArray:

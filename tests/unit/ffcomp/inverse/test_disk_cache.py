@@ -11,7 +11,6 @@ from ffcomp.inverse import disk_cache as kept
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import OUR_VARIABLE
-from models.file import load_machine
 from models.machine import Machine
 
 HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
@@ -21,11 +20,6 @@ HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv(OUR_VARIABLE, str(tmp_path / "cache"))
     return tmp_path / "cache"
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def been_at(machine: Machine, *places: np.ndarray) -> InverseModel:

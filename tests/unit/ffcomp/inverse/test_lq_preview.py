@@ -22,7 +22,6 @@ from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
-from models.file import load_machine
 from models.machine import Machine
 from tests.support.exact_inverse import solve_exactly
 
@@ -30,11 +29,6 @@ FloatArray = NDArray[np.float64]
 
 SETTINGS = Settings()
 CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 @pytest.fixture(scope="module")

@@ -14,16 +14,8 @@ from ffcomp.comparison.methods import COMPENSATED, ROBUST, best_fixed, inversion
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.job import Job
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust import (
-    PAYING_SD,
-    Path,
-    RobustReference,
-    choose_robust,
-    mode_sd,
-)
-from ffcomp.inverse.sensitivity import (
-    MARGIN,
-)
+from ffcomp.inverse.robust import PAYING_SD, Path, RobustReference, choose_robust, mode_sd
+from ffcomp.inverse.sensitivity import MARGIN
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
 from ffcomp.simulation.expectation import draw_plants
@@ -36,11 +28,6 @@ from tests.support.settings import finely_joined
 
 FloatArray = NDArray[np.float64]
 PLACE = np.array([40.0, -30.0, 5.0])
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def unsure(machine: Machine, sd: float) -> Machine:
@@ -138,36 +125,27 @@ def test_at_twenty_percent_the_best_shaper_leaves_more() -> None:
 
 
 @pytest.fixture(scope="module")
-def delta() -> Machine:
-    return load_machine("mp-delta-pro")
-
-
-@pytest.fixture(scope="module")
 def bed_slinger() -> Machine:
     return load_machine("ender-3")
 
 
-def unsure_of_robust_choice(machine: Machine, **uncertainty: float) -> Machine:
-    return replace(machine, uncertainty={name.replace("__", "."): value for name, value in uncertainty.items()})
-
-
-def test_a_frequency_counts_as_it_is_and_a_stiffness_for_half(delta: Machine, bed_slinger: Machine) -> None:
+def test_a_frequency_counts_as_it_is_and_a_stiffness_for_half(machine: Machine, bed_slinger: Machine) -> None:
     for sd in (0.005, 0.05):
-        assert mode_sd(unsure_of_robust_choice(bed_slinger, default=sd), 76.0) == pytest.approx(sd, rel=0.1)
-        assert 0.4 * sd < mode_sd(unsure_of_robust_choice(delta, default=sd), 102.0) < 0.8 * sd
-    assert mode_sd(unsure_of_robust_choice(delta, default=0.0), 102.0) == 0.0
+        assert mode_sd(unsure(bed_slinger, sd), 76.0) == pytest.approx(sd, rel=0.1)
+        assert 0.4 * sd < mode_sd(unsure(machine, sd), 102.0) < 0.8 * sd
+    assert mode_sd(unsure(machine, 0.0), 102.0) == 0.0
 
 
-def test_a_rough_file_is_inverted_robustly_and_a_good_one_plainly(delta: Machine, bed_slinger: Machine) -> None:
-    for machine, sd, robust in (
-        (delta, 0.02, False),
-        (delta, 0.1, True),
-        (delta, 0.2, True),
+def test_a_rough_file_is_inverted_robustly_and_a_good_one_plainly(machine: Machine, bed_slinger: Machine) -> None:
+    for printer, sd, robust in (
+        (machine, 0.02, False),
+        (machine, 0.1, True),
+        (machine, 0.2, True),
         (bed_slinger, 0.01, False),
         (bed_slinger, 0.05, True),
         (bed_slinger, 0.2, True),
     ):
-        choice = choose_robust(unsure_of_robust_choice(machine, default=sd), settings_for(machine))
+        choice = choose_robust(unsure(printer, sd), settings_for(printer))
         assert choice.robust == robust
         assert "[uncertainty]" in choice.reason
         assert ("--robust off" if robust else f"from {100 * PAYING_SD:g} %") in choice.reason

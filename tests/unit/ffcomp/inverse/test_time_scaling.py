@@ -41,11 +41,6 @@ G1 X0 Y20 F3000
 
 
 @pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
-
-
-@pytest.fixture(scope="module")
 def planned(machine: Machine) -> PlannedProgram:
     return plan_program(read_program(CORNERS, start=START, flavor="klipper"), machine)
 

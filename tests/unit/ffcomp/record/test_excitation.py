@@ -10,30 +10,20 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError
-from ffcomp.record.excitation import (
-    AXES,
-    TOWERS,
-    ExcitationRequest,
-    make_excitation_plan,
-)
+from ffcomp.record.excitation import AXES, TOWERS, ExcitationRequest, make_excitation_plan
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import polyline_gain
 from ffcomp.record.plan import Excitation, Experiment, Plan
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import ComplexArray, FloatArray, constant
-from models.file import load_machine
 from models.machine import Machine
 from models.vibration.state_space import discretise
+from tests.support.machines import machine
 from validation import kalico
 
 SHORT = ExcitationRequest(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
 MOTION = re.compile(rb"\s*(G[0-4]|G9[0-2]|M204|SET_VELOCITY_LIMIT)\b")
-
-
-@cache
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 @cache

@@ -6,12 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.record.multisine import (
-    band,
-    excitation,
-    polyline_gain,
-    scaled,
-)
+from ffcomp.record.multisine import band, excitation, polyline_gain, scaled
 from models.arrays import FloatArray
 
 FINE = 64  # samples between two knots

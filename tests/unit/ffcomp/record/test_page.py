@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from ffcomp.record.gcode_writer import Recorder
-from ffcomp.record.page import (
-    LARGEST_MM,
-    PageRequest,
-    discs_of,
-    last_line,
-    make_page,
-    page_lines,
-    twins,
-)
+from ffcomp.record.page import LARGEST_MM, PageRequest, discs_of, last_line, make_page, page_lines, twins
 from gcode.reader import read_program
 from models.file import load_machine
 

@@ -14,18 +14,12 @@ from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, load_plan, save_plan
 from gcode.reader import read_program
-from models.file import load_machine
 from models.machine import Machine
 
 
 @pytest.fixture(scope="module")
-def delta() -> Machine:
-    return load_machine("mp-delta-pro")
-
-
-@pytest.fixture(scope="module")
-def plan(delta: Machine) -> Plan:
-    return make_plan(delta, Request(seconds=2.0))
+def plan(machine: Machine) -> Plan:
+    return make_plan(machine, Request(seconds=2.0))
 
 
 def test_the_json_file_holds_the_command(plan: Plan, tmp_path: Path) -> None:
@@ -41,9 +35,9 @@ def text_of(plan: Plan, machine: Machine, flavor: str, shaper: tuple[str, ...] |
     return b"".join(gcode_lines(plan, machine, Recorder(flavor, None, shaper))).decode()
 
 
-def test_the_gcode_is_the_command(plan: Plan, delta: Machine) -> None:
+def test_the_gcode_is_the_command(plan: Plan, machine: Machine) -> None:
     """Read back and planned with the limits that the file sets, the moves of each execution take their time."""
-    program = read_program(text_of(plan, delta, "klipper").encode(), "moves.gcode")
+    program = read_program(text_of(plan, machine, "klipper").encode(), "moves.gcode")
     stops, waits = stops_and_waits(program)
     whole = plan_moves(program.moves, PlannerLimits(300.0, 10000.0, 5.0), stop_before=stops, wait_before=waits)
     rests = np.flatnonzero(waits > 0.9)  # a second before each execution
@@ -70,11 +64,11 @@ def test_the_gcode_is_the_command(plan: Plan, delta: Machine) -> None:
         ("reprapfirmware", 'M593 P"none"', "M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}"),
     ],
 )
-def test_the_shaper_is_switched_off_and_on_again(plan: Plan, delta: Machine, flavor: str, off: str, on: str) -> None:
-    text = text_of(plan, delta, flavor, (on,))
+def test_the_shaper_is_switched_off_and_on_again(plan: Plan, machine: Machine, flavor: str, off: str, on: str) -> None:
+    text = text_of(plan, machine, flavor, (on,))
     first_move = text.index("\nG1 ")
     assert text.index(f"\n{off}\n") < first_move < text.rindex("\nG1 ") < text.index(f"\n{on}\n")
-    assert off not in text_of(plan, delta, flavor, ()), "the printer has no shaper"
+    assert off not in text_of(plan, machine, flavor, ()), "the printer has no shaper"
 
 
 @pytest.mark.parametrize(
@@ -87,6 +81,6 @@ def test_the_shaper_is_switched_off_and_on_again(plan: Plan, delta: Machine, fla
         (Request(acceleration_mm_per_s2=1e5), "is more than the machine's limits allow"),
     ],
 )
-def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Request, words: str) -> None:
+def test_what_cannot_be_planned_says_what_would_fit(machine: Machine, request_: Request, words: str) -> None:
     with pytest.raises(LimitsError, match=words):
-        make_plan(delta, request_)
+        make_plan(machine, request_)

@@ -25,11 +25,6 @@ COREXY = EXAMPLE.with_name("corexy.toml")
 
 
 @pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
-
-
-@pytest.fixture(scope="module")
 def planned(machine: Machine) -> tuple[Plan, Program]:
     return plan_print(EXAMPLE, machine, "klipper")
 

@@ -14,16 +14,10 @@ from ffcomp.identification.frf_study import study, view_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
-from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import CliRunner, Result
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("mp-delta-pro")
 
 
 def measured(machine: Machine, given: str, answers: str, factor: complex = 1.0, **said) -> FrequencyResponse:

@@ -1,13 +1,10 @@
-"""The virtual printer as the comparison uses it, against the independent plant and against statics."""
+"""The virtual printer as the comparison uses it; `e2e/test_simulate_cli.py` has it next to the independent plant."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
-from ffcomp.comparison.methods import segments_motion
-from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import planned_motion
 from ffcomp.simulation.playback import simulate_nozzles
 from models.effects.catalogue import with_effect
@@ -26,30 +23,6 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
     load = carriage.moving_mass_kg + (delta_vibration(MACHINE).nozzle_side_mass_kg + effector.extruder_mass_kg) / 3
     expected = -1e3 * load * GRAVITY / carriage.belt_stiffness_n_per_m
     np.testing.assert_allclose(static_deflection(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["ringing_tower"])
-def test_the_independent_plant_says_the_same(name: str) -> None:
-    """Other equations, another integrator and step, and no weight, which changes a violent ringing by 0.2 %."""
-    case = judge.part(name)
-    machine, corners = case.original.machine, case.original.corners
-    for motion in (case.original.motion, segments_motion(case.segments)):
-        ((t, nozzle),) = simulate_nozzles([machine], [motion], machine)
-        other_t, other = judge.play(case.original.plant, motion)
-        inside = (other_t > t[0]) & (other_t < t[-1])
-        apart = np.linalg.norm(CubicSpline(t, nozzle)(other_t) - other, axis=1)[inside]
-        wanted = case.original.trajectory.position(motion.clock.plan_time(other_t[inside]))[:, :3]
-        assert rms(apart) < max(0.005 * rms(np.linalg.norm(other[inside] - wanted, axis=1)), 2e-4)
-        contours = (
-            contour_error(*corners, motion.clock.plan_time(at), each) for at, each in ((t, nozzle), (other_t, other))
-        )
-        ours, theirs = map(rms, contours)
-        assert ours == pytest.approx(theirs, rel=0.02)
-
-
-def rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 
 
 def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,7 @@ import pytest
 
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.substructures import (
-    command_frf,
-    impedance,
-)
+from models.vibration.substructures import command_frf, impedance
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
 S = 2j * np.pi * FREQUENCIES
