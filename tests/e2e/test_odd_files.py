@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from models.file import load_machine
 from scripts.pages import dialects
 from tests.fuzz.test_random_programs import compensated, inverter
 from tests.support.compensated import plainly
+from tests.support.data import ROOT
 from validation.invariants import violations
 
 START = dialects.START
@@ -75,7 +75,6 @@ def test_a_feed_is_put_back_without_an_exponent(feed: str) -> None:
 # ---- files ----
 
 
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
 OFFSETS = {  # beds with their origin in a corner; the vase's start moves need more room than its bed's centre leaves
     "ender3_ringing_tower.gcode": (-110.0, -110.0),
     "gcodepreview_benchy_arcs.gcode": (-100.0, -100.0),
@@ -85,10 +84,9 @@ OFFSETS = {  # beds with their origin in a corner; the vase's start moves need m
 }
 
 needs_data = pytest.mark.skipif(
-    not DATA.is_dir(), reason=f"no G-code of others at {DATA}; FFCOMP_DATA names its folder"
+    not ROOT.is_dir(), reason=f"no G-code of others at {ROOT}; FFCOMP_DATA names its folder"
 )
-REAL = sorted(DATA.glob("*.gcode")) if DATA.is_dir() else []
-ODD = sorted((DATA / "odd").iterdir()) if DATA.is_dir() else []
+ODD = sorted((ROOT / "odd").iterdir()) if ROOT.is_dir() else []
 
 
 def job(data: bytes, path: Path) -> Job:

@@ -12,11 +12,13 @@ import pytest
 from ffcomp.compensation.job import Job
 from ffcomp.errors import NothingToDo
 from gcode.errors import GcodeError
-from tests.e2e.test_odd_files import ODD, OFFSETS, REAL, needs_data
+from tests.e2e.test_odd_files import ODD, OFFSETS, needs_data
 from tests.fuzz.test_random_programs import compensated, inverter
+from tests.support import data
 from tests.support.compensated import plainly
 from validation.invariants import told_apart, violations
 
+REAL = sorted(data.ROOT.glob("*.gcode"))
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted((ROOT / "sample_prints").glob("*.gcode"))
 LINES = 500

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
+ROOT = DATA / "gcode"
 PRINTS = (
     "ender3_ringing_tower.gcode",
     "flsun_v400_retract-tower.gcode",
@@ -21,7 +22,11 @@ ODD = sorted(path.name for path in (ROOT / "odd").glob("*")) or ["no odd files"]
 
 
 def real(name: str) -> bytes:
-    path = ROOT / name
+    return needed(ROOT / name).read_bytes()
+
+
+def needed(path: Path) -> Path:
+    """Return a file or folder of DATA, without which the test is skipped."""
     if not path.exists():
-        pytest.skip(f"{name} is not there; set FFCOMP_DATA to the folder of outside data")
-    return path.read_bytes()
+        pytest.skip(f"{path} is not there; set FFCOMP_DATA to the folder of outside data.")
+    return path

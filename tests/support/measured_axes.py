@@ -6,15 +6,14 @@ them from nonlinearbenchmark.org into `emps` and `silverbox` of $FFCOMP_DATA. Th
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray
+from tests.support.data import DATA
 
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
 EMPS_FILES = {"plain": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 
 SILVERBOX_HZ = 610.35

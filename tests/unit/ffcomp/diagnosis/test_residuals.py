@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,14 +23,13 @@ from models.file import load_machine
 from models.kinds import machine_of_axis
 from models.vibration.driven_axis import DrivenAxis
 from tests.support.cli import CliRunner
+from tests.support.data import DATA, needed
 
-RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "runs"
+RUNS = DATA / "runs"
 
 
 def gap_of(case: str, *, machine: Path | None = None) -> Any:
-    folder = RUNS / case
-    if not folder.is_dir():
-        pytest.skip(f"the runs from outside are not beside the project ({case})")
+    folder = needed(RUNS / case)
     files = [str(path) for path in sorted((folder / "runs").glob("*.csv"))]
     answer = CliRunner().invoke(app, ["gap", *files, "-m", str(machine or folder / "machine.toml"), "--json"])
     assert answer.exit_code == 0, answer.output

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,9 +16,9 @@ from numpy.typing import NDArray
 from ffcomp.cli.app import app
 from ffcomp.measurement.sensors import misplaced
 from tests.support.cli import CliRunner
+from tests.support.data import DATA, needed
 
-RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "runs"
-CASE = RUNS / "effector-mass"
+CASE = DATA / "runs" / "effector-mass"
 ROWS = slice(800, 4000)
 SENSORS = [f"acc_{axis}_m_per_s2" for axis in "ABCxyz"]
 COMMAND = [f"cmd_{axis}_mm" for axis in "ABC"]
@@ -54,9 +53,7 @@ class Sheet:
 
 @pytest.fixture(scope="module")
 def sheet() -> Sheet:
-    if not CASE.is_dir():
-        pytest.skip(f"The runs from outside are not beside the project: no folder {CASE} (set FFCOMP_DATA).")
-    path = CASE / "runs" / "infill-centre-1.csv"
+    path = needed(CASE) / "runs" / "infill-centre-1.csv"
     columns = tuple(path.read_text(encoding="utf-8").split("\n", 1)[0].split(","))
     return Sheet(columns, np.loadtxt(path, delimiter=",", skiprows=1)[ROWS])
 

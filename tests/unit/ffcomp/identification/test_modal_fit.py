@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -29,10 +28,10 @@ from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, ModalAxes
 from tests.support.cli import CliRunner, Result
+from tests.support.data import DATA, needed
 
 FloatArray = NDArray[np.float64]
 
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data"))
 VORON = LIBRARY / "voron-300.toml"
 F = np.arange(5.0, 150.1, 0.5)
 ONE = np.array([[43.0, 0.07, 1.0]])  # frequency Hz, damping ratio, share
@@ -187,9 +186,7 @@ SINGLE = (  # spectra with one clear peak
 @pytest.mark.parametrize("name", SINGLE)
 def test_real_printers_ring_where_the_firmware_shapes(name: str) -> None:
     """Within 6 % of the frequency that a firmware's calibration gives its narrowest shaper."""
-    if not (REAL / name).is_file():
-        pytest.skip(f"The measured spectra are not here: {REAL / name}.")
-    found = spectrum_of(REAL / name, None, (2.0, 400.0))
+    found = spectrum_of(needed(REAL / name), None, (2.0, 400.0))
     assert isinstance(found, Spectrum)
     fit = fit_axis("y", [found])
     file = read_vibration(REAL / name)

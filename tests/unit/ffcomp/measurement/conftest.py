@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.data import DATA, needed
+
 RATE = 1600.0
 
 
 @pytest.fixture(scope="session")
 def data() -> Path:
-    root = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data"))
-    if not root.is_dir():
-        pytest.skip(f"The measured data is not there: no folder {root} (set FFCOMP_DATA).")
-    return root
+    return needed(DATA)
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,13 @@ import pytest
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.vibration import read_captures, read_vibration
+from tests.support.data import DATA, needed
 
 RATE, COUNT = 3200.0, 3200
 RNG = np.random.default_rng(3)
 FELT = RNG.standard_normal((COUNT, 3)) * 2 + [0, 0, G]  # m/s²
 T = np.arange(COUNT) / RATE
-OWNERS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "vibration" / "owners"
+OWNERS = DATA / "vibration" / "owners"
 
 
 def rows(*columns: np.ndarray, delimiter: str = ",") -> str:
@@ -85,7 +85,6 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not OWNERS.is_dir(), reason="the vibration data from outside are not beside the project")
 @pytest.mark.parametrize(
     ("name", "axes", "rate_hz"),
     [
@@ -97,7 +96,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
 def test_captures_of_owners_are_read(name: str, axes: list[str | None], rate_hz: float) -> None:
     if name.endswith(".stdata"):
         pytest.importorskip("zstandard")
-    found = read_captures(OWNERS / name)
+    found = read_captures(needed(OWNERS / name))
     assert [each.axis for each in found] == axes
     for each in found:
         assert each.sample_rate_hz == pytest.approx(rate_hz, rel=1e-3) and each.overflows == 0

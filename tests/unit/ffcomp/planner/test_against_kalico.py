@@ -5,9 +5,7 @@ Runs where KALICO_PYTHON names the python of an environment with Kalico in it; s
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +14,10 @@ from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
+from tests.support.data import real
 from tests.support.programs import random_program
 from validation import kalico
 
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "gcode"
 MOTION = re.compile(rb"\s*(G[0-4]|G9[0-2]|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
 STEP_MM = 40.0 / 200  # whole steps: the host has far fewer to write than with microsteps, the plan is the same
 
@@ -30,9 +28,7 @@ LINES = 3_000  # of a file: the host takes its time
 
 def motion_only(name: str) -> bytes:
     """The file without what the oracle's bare printer does not know: heating, homing, fans."""
-    if not (DATA / name).exists():
-        pytest.skip(f"{name} is not in {DATA}; FFCOMP_DATA may name the folder that holds gcode/{name}.")
-    return b"\n".join(line for line in (DATA / name).read_bytes().splitlines()[:LINES] if MOTION.match(line)) + b"\n"
+    return b"\n".join(line for line in real(name).splitlines()[:LINES] if MOTION.match(line)) + b"\n"
 
 
 def our_plan(gcode: bytes, limits: PlannerLimits) -> Trajectory:

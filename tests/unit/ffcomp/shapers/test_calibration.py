@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import get_type_hints
 
 import numpy as np
@@ -22,10 +20,10 @@ from models.arrays import constant
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
+from tests.support.data import DATA, needed
 
 FloatArray = NDArray[np.float64]
 
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data"))
 FOLDER = DATA / "vibration" / "klipper_resonances_bassco"
 NAMES = [f"v24__calibration_data_{axis}_{when}.csv" for when in ("20220611_200739", "20230306_225431") for axis in "xy"]
 CHOSEN = re.compile(r"(\w+)\((\d+\.\d)\)")
@@ -33,9 +31,7 @@ CHOSEN = re.compile(r"(\w+)\((\d+\.\d)\)")
 
 def real(name: str) -> tuple[Resonances, dict[str, float], FloatArray]:
     """The file; the frequency chosen for each kind, in the order of the columns; those columns (k, kinds)."""
-    path = FOLDER / name
-    if not path.exists():
-        pytest.skip(f"{name} is not in {FOLDER}; FFCOMP_DATA may name the folder that holds vibration/.")
+    path = needed(FOLDER / name)
     found = read_vibration(path)
     assert isinstance(found, Resonances)
     head, *rows = path.read_text().splitlines()
