@@ -20,7 +20,7 @@ import numpy as np
 from validation.blind import effects
 from validation.blind.effects import by_name, of_kind
 from validation.blind.motions import Motion, points
-from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables, larger, sign
+from validation.blind.real import FloatArray, Hide, Labels, Range, Reading, Real, Rng, Tables, larger, sign
 from validation.blind.straight import AXIS, OF_PRINTERS, SHARED_BY_AXES, loose_load, masses, written
 from validation.blind.straight import restated_axis as restated
 from validation.plants.forced_axis import axis_of, follow, pushed, servo_of
@@ -228,22 +228,20 @@ def _stretched(real: Real) -> float:
 FORCED = replace(AXIS, column=2, stretched=_stretched)
 
 
-def friction_by_direction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide viscous friction that is larger one way; it turns over within some mm/s."""
-    difference = size * sign(rng) * rng.uniform(1.5, 6.0) * masses(real)[0]
-    return {"damping_difference_n_s_per_m": difference}, real.having(direction=difference)
+def _hides(
+    field: str, low: float, high: float, key: str = "", by_mass: bool = True, signed: bool = False, **others: Range
+) -> Hide:
+    """Return what hides one number, for each kilogram that moves or as it is, and draws other fields with it."""
+
+    def hide(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+        value = size * (sign(rng) if signed else 1.0) * rng.uniform(low, high) * (masses(real)[0] if by_mass else 1.0)
+        drawn = {name: rng.uniform(*between) for name, between in others.items()}
+        return ({key: value} if key else {}), real.having(**{field: value, **drawn})
+
+    return hide
 
 
-def quadratic_drag(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide what is pushed aside."""
-    drag = size * rng.uniform(20.0, 80.0) * masses(real)[0]
-    return {"force_n_s2_per_m2": drag}, real.having(drag=drag)
-
-
-def ground_spring(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a hose that pulls to one place, by some thousandths more the farther it is bent."""
-    stiff = size * rng.uniform(10.0, 50.0) * masses(real)[0]
-    return {"stiffness_n_per_m": stiff}, real.having(hose=stiff, hose_at=rng.uniform(0.3, 0.6))
+TURN = (0.0, 2 * np.pi)
 
 
 def cogging_force(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -256,16 +254,16 @@ def cogging_force(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return table, real.having(tooth=force, **fields)
 
 
-def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a force that acts later than it is recorded; the delay wanders by a hundredth."""
-    delay = size * rng.uniform(4e-4, 2e-3)
-    wander = {"delay_pace": rng.uniform(15.0, 40.0), "delay_phase": rng.uniform(0.0, 2 * np.pi)}
-    return {"delay_s": delay}, real.having(delay=delay, **wander)
-
-
 EFFECTS: Mapping[str, Hide] = {
     **of_kind(SHARED_BY_AXES, FORCED, f"{OF_PRINTERS} cogging"),
-    **by_name(command_delay, friction_by_direction, quadratic_drag, ground_spring, cogging_force),
+    # a force that acts later than it is recorded; the delay wanders by a hundredth
+    "command_delay": _hides("delay", 4e-4, 2e-3, "delay_s", by_mass=False, delay_pace=(15.0, 40.0), delay_phase=TURN),
+    # viscous friction that is larger one way; it turns over within some mm/s
+    "friction_by_direction": _hides("direction", 1.5, 6.0, "damping_difference_n_s_per_m", signed=True),
+    "quadratic_drag": _hides("drag", 20.0, 80.0, "force_n_s2_per_m2"),
+    # a hose that pulls to one place, by some thousandths more the farther it is bent
+    "ground_spring": _hides("hose", 10.0, 50.0, "stiffness_n_per_m", hose_at=(0.3, 0.6)),
+    **by_name(cogging_force),
 }
 
 
@@ -276,21 +274,14 @@ def pendulum_gravity(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return {"force_n": force, "angle_deg": angle}, real.having(weight=force, **wave)
 
 
-def friction_by_load(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide teeth that rub in proportion to what they pass on."""
-    share = size * rng.uniform(0.05, 0.25)
-    return {"share": share}, real.having(load=share)
-
-
-TURNING: Mapping[str, Hide] = {**EFFECTS, **by_name(pendulum_gravity, friction_by_load)}
+TURNING: Mapping[str, Hide] = {
+    **EFFECTS,
+    **by_name(pendulum_gravity),
+    "friction_by_load": _hides("load", 0.05, 0.25, "share", by_mass=False),  # teeth rub as much as they pass on
+}
 
 
 # ---- outside the catalogue -----------------------------------------------------------------------
-
-
-def warming_motor(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide magnets that weaken while the motor works; before the next run they cool."""
-    return {}, real.having(fade=size * rng.uniform(0.12, 0.25), fade_s=rng.uniform(0.5, 1.5))
 
 
 def weak_amplifier(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
@@ -305,19 +296,14 @@ def commutation(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     return {}, real.having(commute=size * rng.uniform(0.1, 0.25), **wave)
 
 
-def bent_rail(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a place where the rail pinches: dry friction there and nowhere else."""
-    where = {"bump_at": rng.uniform(-8e-3, 8e-3), "bump_wide": rng.uniform(3e-3, 8e-3)}
-    return {}, real.having(bump=size * rng.uniform(1.0, 2.5) * masses(real)[0], **where)
-
-
-def unbalanced_spindle(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
-    """Hide a spindle on the axis whose unbalance pushes it to and fro."""
-    wave = 2 * np.pi * rng.uniform(20.0, 60.0)
-    return {}, real.having(spin=size * rng.uniform(0.3, 1.0) * masses(real)[0], spin_wave=wave)
-
-
 OUTSIDE: Mapping[str, Hide] = {
     "swinging_cable": partial(effects.swinging_cable, FORCED),
-    **by_name(loose_load, warming_motor, weak_amplifier, commutation, bent_rail, unbalanced_spindle),
+    **by_name(loose_load),
+    # magnets that weaken while the motor works; before the next run they cool
+    "warming_motor": _hides("fade", 0.12, 0.25, by_mass=False, fade_s=(0.5, 1.5)),
+    **by_name(weak_amplifier, commutation),
+    # a place where the rail pinches: dry friction there and nowhere else
+    "bent_rail": _hides("bump", 1.0, 2.5, bump_at=(-8e-3, 8e-3), bump_wide=(3e-3, 8e-3)),
+    # a spindle on the axis whose unbalance pushes it to and fro
+    "unbalanced_spindle": _hides("spin", 0.3, 1.0, spin_wave=(40 * np.pi, 120 * np.pi)),
 }
