@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, uniform_filter1d
+from scipy.signal import lfilter
 
 from ffcomp.record.page import SLOW, STROKE
 from ffcomp.record.plan import Experiment, Plan
@@ -119,7 +120,8 @@ def draw(
 def _bead(path: Array, volume: Array, height: float, step_s: float, bead: Bead, rng: np.random.Generator) -> Drawing:
     """Lay the extruded volume (n,) mm³ along the path (n, 2); the remainder in the nozzle ends as a blot."""
     laid = _pulled(path, bead.drag_mm)
-    out = _lagged(volume, max(bead.pressure_s / step_s, 1.0))
+    share = min(step_s / bead.pressure_s, 1.0)  # of what the melt still has to come, in a step
+    out = lfilter([share], [1.0, share - 1.0], volume, zi=[(1.0 - share) * volume[0]])[0]
     moved = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(laid, axis=0), axis=1)))
     at = np.arange(0.0, moved[-1], PATH_MM)
     keep = np.append(True, np.diff(moved) > 1e-9)
@@ -127,7 +129,7 @@ def _bead(path: Array, volume: Array, height: float, step_s: float, bead: Bead, 
     last = len(out) - 1 - int(np.argmax(keep[::-1]))  # after it nothing moves
     window = max(1, round(bead.bore_mm / PATH_MM))
     volume_there = np.interp(at, moved[keep], out[keep])
-    points, extruded = _averaged(points, window), _averaged(volume_there[:, None], window)[:, 0]
+    points, extruded = (uniform_filter1d(each, window, axis=0, mode="nearest") for each in (points, volume_there))
     width = np.gradient(extruded, PATH_MM) / height
     width = np.clip(width, 0.1, 1.2) + bead.foot_mm
     width *= 1.0 + bead.uneven * _noise(len(at), 3.0 / PATH_MM, rng)
@@ -150,20 +152,6 @@ def _pulled(path: Array, length: float) -> Array:
         distance = np.sqrt(away[0] ** 2 + away[1] ** 2)
         laid[k] = laid[k - 1] if distance <= length else path[k] - away * (length / distance)
     return laid
-
-
-@njit(cache=True)
-def _lagged(values: Array, rows: float) -> Array:
-    out = np.empty_like(values)
-    out[0] = values[0]
-    for k in range(1, len(values)):
-        out[k] = out[k - 1] + (values[k] - out[k - 1]) / rows
-    return out
-
-
-def _averaged(rows: Array, window: int) -> Array:
-    padded = np.pad(rows, ((window // 2, window - 1 - window // 2), (0, 0)), mode="edge")
-    return np.column_stack([np.convolve(column, np.full(window, 1 / window), "valid") for column in padded.T])
 
 
 def _noise(n: int, length: float, rng: np.random.Generator) -> Array:
