@@ -8,8 +8,6 @@ Results of a whole round are in studies/archive/traps.md.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import json
 import re
 import shutil
@@ -20,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tests.support.cli import ffcomp
 from validation.traps.bench import write
 from validation.traps.catalogue import TRAPS, Trap
 
@@ -62,20 +61,10 @@ def diagnosed(trap: Trap, keep: Path, before: Answer) -> Answer:
 
 def _called(words: Sequence[object]) -> Answer:
     """Call a verb in this process."""
-    from ffcomp.cli.app import app
-    from ffcomp.cli.command import run
-
-    out, err, code, began = io.StringIO(), io.StringIO(), 0, time.process_time()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            run(app, [str(word) for word in words])
-        except BaseException as error:  # the command line's exit among them
-            code = int(getattr(error, "exit_code", getattr(error, "code", 1)) or 0)
-            if code == 1:
-                raise
-    found = json.loads(out.getvalue()) if out.getvalue().strip() else {}
-    lines = [line for line in err.getvalue().splitlines() if not line.startswith(PROGRESS)]
-    return Answer(found, "\n".join(lines), code, time.process_time() - began)
+    began, answer = time.process_time(), ffcomp(*words)
+    found = json.loads(answer.stdout) if answer.stdout.strip() else {}
+    lines = [line for line in answer.stderr.splitlines() if not line.startswith(PROGRESS)]
+    return Answer(found, "\n".join(lines), answer.exit_code, time.process_time() - began)
 
 
 def judged(trap: Trap, answer: Answer) -> list[str]:
