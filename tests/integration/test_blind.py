@@ -23,7 +23,7 @@ from models.file import load_machine, load_plant
 from models.printer.printer import simulate_printer
 from validation.blind import delta, score, straight
 from validation.blind.bank import write_case
-from validation.blind.cases import Case, Circumstances, Label, Plan, case, draw
+from validation.blind.cases import Case, Label, Plan, case, draw
 from validation.blind.delta import EFFECTS, OUTSIDE
 from validation.blind.kinds import KINDS as MACHINES
 from validation.blind.motions import KINDS, Motion
@@ -162,7 +162,7 @@ def written(made: Case, bank: Path, name: str = "case-001") -> Path:
 
 
 def test_a_seed_is_a_case() -> None:
-    one, same, other = (case(seed, "single", SECONDS, short=True) for seed in (4, 4, 5))
+    one, same, other = (case(seed, "single:cogging", SECONDS, short=True) for seed in (4, 4, 5))
     assert (one.machine, one.runs, one.fresh, one.label) == (same.machine, same.runs, same.fresh, same.label)
     assert one.machine != other.machine
 
@@ -238,8 +238,7 @@ def test_wilson() -> None:
 def judged(stratum: str, effects: Mapping[str, Any], said: list[str], **more: Any) -> score.Judged:
     """A verdict that names `said`, each 1 % too large and sure to 2 %; or 'none' or 'unknown'."""
     seen = {name: Visibility(1.0, 1e4, 1000) for name in [*effects, *([more["outside"]] if "outside" in more else [])]}
-    around = Circumstances(0.02, "all", 2, "ABC")
-    label = Label("delta", stratum, "usual", 1, effects, more.get("outside", ""), seen, more.get("alike", ()), around)
+    label = Label("delta", stratum, "usual", 1, effects, more.get("outside", ""), seen, more.get("alike", ()))
     named = [name for name in said if name in EFFECTS]
     told = [{"name": n, "parameters": {k: _told(x) for k, x in effects.get(n, {}).items()}} for n in named]
     rivals = [{"name": name} for name in more.get("rivals", [])]

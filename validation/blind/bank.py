@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import FfcompError, MeasurementError, RequestError
-from validation.blind.cases import NEVER_TOGETHER, Case, Circumstances, Label, case
+from validation.blind.cases import NEVER_TOGETHER, Case, Label, case
 from validation.blind.kinds import KINDS, MACHINES
 from validation.blind.score import Judged
 from validation.blind.visible import Visibility
@@ -167,8 +167,8 @@ def _opened(path: Path, seal: str) -> Label:
         raise SealedError(f"{path}: this label is not the one that was sealed.")
     found = json.loads(text)
     seen = {name: Visibility(**values) for name, values in found["visibility"].items()}
-    around, alike = Circumstances(**found["around"]), tuple(found["alike"])
-    return Label(**{**found, "visibility": seen, "around": around, "alike": alike})
+    found.pop("around", None)  # older labels state how the file was measured
+    return Label(**{**found, "visibility": seen, "alike": tuple(found["alike"])})
 
 
 # ---- answers -------------------------------------------------------------------------------------

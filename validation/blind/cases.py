@@ -1,7 +1,7 @@
 """One case of the blind bank: a machine file, measured runs, fresh runs for the proof, and a label kept apart.
 
-    case(seed, "corexy/single/rough-file:cogging")      MACHINE/WHAT/CONDITION:NAME+NAME; the beginning and the end of
-                                                        it may be left out: "single", "pair:cogging+belt_backlash"
+    case(seed, "corexy/single/rough-file:cogging")      MACHINE/WHAT/CONDITION:NAME+NAME; parts of the beginning may be
+                                                        left out: "pair:cogging+belt_backlash", "none"
 
 Machines: those of `kinds`. What: `nothing`, `single`, `pair`, or `outside`, which no entry of the catalogue is meant
 for. Conditions:
@@ -40,6 +40,7 @@ from validation.blind.visible import (
 )
 
 HIDES = ("nothing", "single", "pair", "outside")
+FILE_ERRORS = {"exact-file": 0.0, "rough-file": 0.05}  # standard deviation of numbers, relative
 CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "free-damping", "rest")
 REST = (0.05, 0.2)  # of what all that is hidden is worth when the file's numbers are refitted
 LARGEST_REST = 1.5  # times its usual size
@@ -64,16 +65,6 @@ NEVER_TOGETHER = (
 
 
 @dataclass(frozen=True)
-class Circumstances:
-    """How the printer was measured, and how well its file knows it."""
-
-    file_error: float  # standard deviation of the file's numbers, relative
-    sensors: str
-    repeats: int
-    axes: str
-
-
-@dataclass(frozen=True)
 class Label:
     """The truth."""
 
@@ -85,7 +76,6 @@ class Label:
     outside: str  # "" if nothing outside the catalogue is hidden
     visibility: Mapping[str, Visibility]  # of each, the others present
     alike: tuple[str, ...]  # names that no sensor can distinguish from the truth, by construction
-    around: Circumstances
     # true as well, and need not be named: damping in the belts
     also: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rest: Mapping[str, float] = field(default_factory=dict)  # outside the catalogue, and its share
@@ -113,12 +103,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a case shall be; without names they are drawn."""
+    """What a case shall be."""
 
     machine: str
     hides: str
     condition: str
-    names: tuple[str, ...] | None
+    names: tuple[str, ...]
 
     @classmethod
     def parse(cls, text: str) -> Wanted:
@@ -138,7 +128,7 @@ class Wanted:
             found[which] = word
         if asked == "none":
             found["hides"] = "nothing"
-        return cls(**found, names=None if not asked else () if asked == "none" else tuple(asked.split("+")))
+        return cls(**found, names=() if asked == "none" else tuple(asked.split("+")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +186,7 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     """Every part of a case has its own stream of random numbers: a hidden effect does not change the rest."""
     wanted = Wanted.parse(stratum)
     kind = KINDS[wanted.machine]
-    names = _names(seed, wanted) if wanted.names is None else wanted.names
+    names = wanted.names
     own = [np.random.default_rng([seed, n]) for n in range(6)]
     drawn = machine = kind.draw(own[1], names)
     also: Tables = {}
@@ -205,19 +195,19 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
         assert kind.damped is not None
         machine, table = kind.damped(drawn, float(np.clip(own[5].uniform(-0.15, 1.15), 0.0, 1.0)))
         also = {"belt_damping": table} if table else {}
-    around = _circumstances(kind, wanted.condition, machine)
+    error, sensors = FILE_ERRORS.get(wanted.condition, 0.02), machine.get("sensors", kind.sensors)
     sizes = dict.fromkeys(names, 1.0)
     real, tables = _hidden(kind, machine, seed, sizes)
-    file = kind.file_of(drawn, around.file_error, own[3])
+    file = kind.file_of(drawn, error, own[3])
     if free and kind.unknown:
         file["uncertainty"] = {**file.get("uncertainty", {}), **dict.fromkeys(kind.unknown, 1.0)}
     motions, fresh = kind.motions(machine, own[2], seconds, short)
-    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(around, motions)
+    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(kind, motions)
     if wanted.condition == "joined":
         motions, repeats = planned_motions(toml_of(file, "the owner's printer"), seed, seconds)
     inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
     outside = "".join(name for name in names if name in kind.outside)
-    alike = _alike(inside, around.sensors)
+    alike = _alike(inside, sensors)
     plan = Plan(
         kind=kind,
         file=file,
@@ -225,39 +215,19 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
         real=real,
         without={name: _hidden(kind, machine, seed, {**sizes, name: 0.0})[0] for name in names},
         plain=_hidden(kind, machine, seed, dict.fromkeys(names, 0.0))[0],
-        sensors=draw_sensors(own[4], around.sensors, RATE_HZ),
-        spreads=_spreads(kind, machine, file, max(around.file_error, 0.02)),
+        sensors=draw_sensors(own[4], sensors, RATE_HZ),
+        spreads=_spreads(kind, machine, file, max(error, 0.02)),
         motions=motions,
         repeats=repeats,
         fresh=fresh,
-        label=Label(wanted.machine, wanted.hides, wanted.condition, seed, inside, outside, {}, alike, around, also),
+        label=Label(wanted.machine, wanted.hides, wanted.condition, seed, inside, outside, {}, alike, also),
     )
     return plan if wanted.condition != "rest" else _with_rest(plan, own[5], seed)
 
 
-def _repeats(around: Circumstances, motions: Sequence[Motion]) -> tuple[int, ...]:
+def _repeats(kind: Kind, motions: Sequence[Motion]) -> tuple[int, ...]:
     often = [m.name.endswith("centre") or m.name.startswith("infill") for m in motions]
-    return tuple(around.repeats if repeated else 1 for repeated in often)
-
-
-def _names(seed: int, wanted: Wanted) -> tuple[str, ...]:
-    """Draw what is hidden."""
-    kind, rng = KINDS[wanted.machine], np.random.default_rng([seed, 7])
-    if wanted.hides == "nothing":
-        return ()
-    if wanted.hides == "outside":
-        return (str(rng.choice(list(kind.outside))),)
-    if wanted.hides == "single":
-        return (str(rng.choice(list(kind.effects))),)
-    while True:
-        pair = tuple(str(x) for x in rng.choice(list(kind.effects), 2, replace=False))
-        if not any(set(pair) <= both for both in NEVER_TOGETHER):
-            return pair
-
-
-def _circumstances(kind: Kind, condition: str, machine: Tables) -> Circumstances:
-    error = {"exact-file": 0.0, "rough-file": 0.05}.get(condition, 0.02)
-    return Circumstances(error, machine.get("sensors", kind.sensors), kind.repeats, kind.axes)
+    return tuple(kind.repeats if repeated else 1 for repeated in often)
 
 
 def _hidden(
@@ -284,7 +254,7 @@ def _records(
     plan: Plan, motions: Sequence[Motion], readings: Sequence[Reading], repeats: Sequence[int], rng: np.random.Generator
 ) -> dict[str, str]:
     """CSV texts by file name; repeats are numbered."""
-    found, axes = {}, plan.label.around.axes
+    found, axes = {}, plan.kind.axes
     for motion, reading, count in zip(motions, readings, repeats, strict=True):
         times = reading.t[:: round(1 / (RATE_HZ * (reading.t[1] - reading.t[0])))]
         if plan.kind.force is None:
