@@ -58,7 +58,8 @@ def test_what_the_page_would_not_ask_is_refused(kind: str, options: Any) -> None
 def test_every_option_is_one_of_the_command_line_and_names_no_file(kind: str) -> None:
     form = KINDS[kind].form
     together = {"max_error_um": "25"} if "max_error_um" in form else {}
-    options = together | {name: True if each.is_switch else NAMED.get(name, "3") for name, each in form.items()}
+    usual = {name: f"{min(3.0, each.option.high or 3.0):g}" for name, each in form.items()} | NAMED
+    options = together | {name: each.is_switch or usual[name] for name, each in form.items()}
     for words in words_of(kind, options, *INPUTS.get(kind, ("a.csv",))):
         of_verb = next(each for path, _, each in reversed(list(commands(app))) if words[: len(path)] == path)
         known = {name for each in of_verb for name in (*each.names, each.negative)}
