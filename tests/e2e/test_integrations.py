@@ -15,10 +15,8 @@ from typing import Any
 import pytest
 
 from ffcomp import __version__
-from ffcomp.cli.integrations import integrations as app
-from ffcomp.integrations.recipes import RECIPES, cura_folders, wrapper
+from ffcomp.integrations.recipes import RECIPES, wrapper
 from gcode.embedded import already_processed, original
-from tests.support.cli import CliRunner
 from tests.support.moonraker import metadata, thumbnail
 
 ROOT = Path(__file__).parents[2]
@@ -226,20 +224,3 @@ def test_moonraker_processes_a_print_once_and_reads_it_as_before(
     again, log = metadata(tmp_path, path.name, [one])
     assert f"previously processed by ffcomp v{__version__}" in log
     assert again["file_processors"] == ["ffcomp"] and path.read_bytes() == done
-
-
-# -- recipes --
-
-
-def test_install_puts_a_wrapper_where_cura_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("platformdirs.user_data_dir", lambda *_, **__: str(tmp_path / "cura"))
-    runner = CliRunner()
-    nowhere = runner.invoke(app, ["install", "cura"])
-    assert nowhere.exit_code == 2 and "--to DIR" in nowhere.stderr
-    for version in ("5.2", "5.10", "4.13", "stash"):
-        (tmp_path / "cura" / version).mkdir(parents=True)
-    assert [folder.parent.name for folder in cura_folders()] == ["5.10", "5.2", "4.13"]
-    answer = runner.invoke(app, ["install", "cura", "--machine", "kossel"])
-    target = tmp_path / "cura" / "5.10" / "scripts" / "Ffcomp.py"
-    assert answer.exit_code == 0 and answer.stdout == f"{target}\n"
-    assert '\nMACHINE = "kossel"\n' in target.read_text(encoding="utf-8")
