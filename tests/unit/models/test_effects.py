@@ -17,6 +17,7 @@ from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import Machine, value_of
 from tests.support.effects import TABLES
+from tests.unit.models.printer.test_one_axis import PROBES as PROBES_OF_AXIS
 from validation.blind.delta import EFFECTS as EFFECTS_OF_DELTAS
 from validation.blind.kinds import KINDS
 
@@ -42,6 +43,8 @@ def _to_do() -> Iterator[str]:
         yield from (f"{name}.{p.name}: no probe" for p in effect.parameters if not p.probe > 0)
         if "carriages" in effect.of and effect.kind != "sensor" and name not in TABLES:
             yield f"{name}: no table in tests/support/effects.py"
+        if "axis" in effect.of and name not in PROBES_OF_AXIS:
+            yield f"{name}: no probe in tests/unit/models/printer/test_one_axis.py"
         if name not in blind and effect.kind != "sensor":
             yield f"{name}: not in the blind benchmark (validation/blind)"
         if name in effects_of() and f"`{name}`" not in page:
