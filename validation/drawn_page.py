@@ -22,6 +22,9 @@ from scipy.signal import lfilter
 
 from ffcomp.record.page import SLOW, STROKE
 from ffcomp.record.plan import Experiment, Plan
+from ffcomp.shapers import pulses
+from ffcomp.shapers.apply import shape
+from ffcomp.shapers.pulses import Shaper
 from validation.plants import straight_plant
 
 Array = NDArray[np.float64]
@@ -57,17 +60,14 @@ class Conditions:
     """How the G-code of a page is executed: by the plan, or not."""
 
     speed_factor: float = 1.0
-    pulses: tuple[tuple[tuple[float, float], ...], ...] = (((1.0, 0.0),), ((1.0, 0.0),))  # of x, y: share, delay s
+    shapers: tuple[Shaper, ...] = ()  # of x and y
 
     def command(self, experiment: Experiment) -> Any:
         """Return the motors' command in place of the experiment's."""
         motion = replace(experiment.motion, speed=experiment.motion.speed * self.speed_factor)
 
         def nozzle(t: Array) -> Array:
-            xyz = motion.nozzle(t)
-            for axis, pulses in enumerate(self.pulses):
-                xyz[:, axis] = sum(share * motion.nozzle(t - delay)[:, axis] for share, delay in pulses)
-            return xyz
+            return shape(motion.nozzle, t, *self.shapers)
 
         def volume(t: Array) -> Array:
             return FILAMENT_MM2 * motion.trajectory.position(t)[:, 3]
@@ -77,9 +77,7 @@ class Conditions:
 
 def zv(hz: tuple[float, float], damping: float = 0.1) -> Conditions:
     """Return a print with the shaper ZV on, tuned to x and y (Singer & Seering, 1990)."""
-    k = float(np.exp(-damping * np.pi / np.sqrt(1 - damping**2)))
-    halves = (0.5 / (each * np.sqrt(1 - damping**2)) for each in hz)
-    return Conditions(pulses=tuple(((1 / (1 + k), 0.0), (k / (1 + k), float(half))) for half in halves))
+    return Conditions(shapers=tuple(pulses.zv(each, damping) for each in hz))
 
 
 # ---- what the printer draws ----------------------------------------------------------------------

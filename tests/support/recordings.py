@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ffcomp.record.plan import load_plan
+from ffcomp.shapers.apply import shape
 from ffcomp.shapers.pulses import Shaper
 from models.machine import Machine
 from models.printer.printer import simulate_printer
@@ -39,24 +40,10 @@ def write_captures(
         if kinds and each.kind not in kinds:
             continue
         t = np.arange(-1.2, each.duration_s + 0.8, 1 / 3200)
-        carriages = plant.kinematics.inverse(shaped(each.motion.nozzle, t, shapers))
+        carriages = plant.kinematics.inverse(shape(each.motion.nozzle, t, *shapers))
         felt = CubicSpline(t, simulate_printer(plant, carriages, 1 / 3200).nozzle_acceleration)
         end = each.duration_s + moves.rest_after_s
         path = folder / f"adxl345-{each.name}-{repeat}.csv"
         path.write_text(klipper_capture(felt, chip, -moves.rest_before_s, end, 55.0, rng), encoding="utf-8")
         written.append(path)
     return written
-
-
-def shaped(
-    nozzle: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    t: NDArray[np.float64],
-    shapers: Sequence[Shaper | None],
-) -> NDArray[np.float64]:
-    """The nozzle's command (n, 3) mm, as the firmware's input shapers of x and y leave it."""
-    command = nozzle(t).copy()
-    for axis, shaper in enumerate(shapers):
-        if shaper is not None:
-            pulses = zip(shaper.amplitude.tolist(), shaper.time.tolist(), strict=True)
-            command[:, axis] = sum(size * nozzle(t - late)[:, axis] for size, late in pulses)
-    return command

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from ffcomp.record.plan import Experiment
+from ffcomp.shapers.apply import shape
 from ffcomp.shapers.smooth import SHAPERS
 from validation.blind.real import FloatArray, Order
 from validation.plants.accelerometer import GRAVITY_M_PER_S2, Chip
@@ -51,16 +52,8 @@ def _ramp(since: FloatArray, lasting: FloatArray, begin: FloatArray, end: FloatA
 
 def shaped(experiment: Experiment, **kinds: tuple[str, float]) -> Nozzle:
     """The input shaper of x, of y or of both was left on."""
-
-    def nozzle(t: FloatArray) -> FloatArray:
-        found = experiment.motion.nozzle(t).copy()
-        for axis, (kind, hertz) in kinds.items():
-            shaper, column = SHAPERS[kind](hertz, 0.1), "xy".index(axis)
-            pulses = zip(shaper.amplitude.tolist(), shaper.time.tolist(), strict=True)
-            found[:, column] = sum(a * experiment.motion.nozzle(t - late)[:, column] for a, late in pulses)
-        return found
-
-    return nozzle
+    shapers = {axis: SHAPERS[kind](hertz, 0.1) for axis, (kind, hertz) in kinds.items()}
+    return lambda t: shape(experiment.motion.nozzle, t, **shapers)
 
 
 def bent(experiment: Experiment, *, by: Sequence[Sequence[float]]) -> Nozzle:

@@ -13,13 +13,13 @@ from ffcomp.measurement.printer_logs import read_motion_log
 from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
+from ffcomp.shapers.apply import shape
 from ffcomp.shapers.pulses import Shaper
 from ffcomp.shapers.smooth import SHAPERS
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 from tests.support.motion_logs import accelerometer, trapq, write_log
-from tests.support.recordings import shaped
 
 BEGIN_S = 40.0  # print time of the first move
 
@@ -50,7 +50,7 @@ def log_of(
     """What the logger says of the first experiment."""
     motion = plan.experiments[0].motion
     t = np.arange(-1.2, motion.duration_s + 0.8, 1 / 3200)
-    commanded = shaped(motion.nozzle, t, shapers)
+    commanded = shape(motion.nozzle, t, *shapers)
     carriages = machine.kinematics.inverse(commanded)
     felt = simulate_printer(machine, carriages, 1 / 3200).nozzle_acceleration
     noisy = felt + np.array([0.0, 0.0, 9.80665]) + np.random.default_rng(1).normal(0.0, 0.1, felt.shape)
