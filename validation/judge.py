@@ -37,7 +37,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.kinds import delta_vibration
 from models.machine import Machine
-from validation.kalico import kalico_plan
+from validation.kalico import kalico_plan, trajectory_of
 from validation.plants import delta_plant
 
 FloatArray = NDArray[np.float64]
@@ -181,21 +181,7 @@ def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Traje
     apart = np.abs(moves[:, 4:7] - own.origin[:, :3]).max()
     if apart > 1e-6:
         raise ValueError(f"The host's moves begin up to {apart:.3g} mm away from ours: they are not the same.")
-    accel_t, decel_t, cruise_v, acceleration = moves[:, [1, 3, 11, 12]].T
-    origin, direction = (np.column_stack([moves[:, i : i + 3], np.zeros(len(moves))]) for i in (4, 7))
-    columns = {
-        "start_t": moves[:, 0],
-        "accel_t": accel_t,
-        "cruise_t": moves[:, 2],
-        "decel_t": decel_t,
-        "start_v": moves[:, 10],
-        "cruise_v": cruise_v,
-        "end_v": cruise_v - acceleration * decel_t,
-        "acceleration": acceleration,
-        "origin": origin,
-        "direction": direction,
-    }
-    return Trajectory(**{name: np.ascontiguousarray(column) for name, column in columns.items()})
+    return trajectory_of(moves)
 
 
 # ---- judgement -----------------------------------------------------------------------------------

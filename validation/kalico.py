@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ffcomp.planner.trajectory import Trajectory
+
 FloatArray = NDArray[np.float64]
 
 START_MM = (0.0, 0.0, 10.0)  # where the oracle puts the nozzle
@@ -114,13 +116,25 @@ def _without_lead_in(result: dict[str, Any]) -> dict[str, Any]:
     return {"moves": moves, "t": t, "xyz": sample(moves, t), "print_s": print_s, **times, **heights}
 
 
+def trajectory_of(moves: FloatArray) -> Trajectory:
+    """Return the moves (n, 13) of `kalico_plan` as a plan of ours."""
+    accel_t, decel_t, cruise_v, acceleration = moves[:, [1, 3, 11, 12]].T
+    origin, direction = (np.column_stack([moves[:, i : i + 3], np.zeros(len(moves))]) for i in (4, 7))
+    columns = {
+        "start_t": moves[:, 0],
+        "accel_t": accel_t,
+        "cruise_t": moves[:, 2],
+        "decel_t": decel_t,
+        "start_v": moves[:, 10],
+        "cruise_v": cruise_v,
+        "end_v": cruise_v - acceleration * decel_t,
+        "acceleration": acceleration,
+        "origin": origin,
+        "direction": direction,
+    }
+    return Trajectory(**{name: np.ascontiguousarray(column) for name, column in columns.items()})
+
+
 def sample(moves: FloatArray, t: FloatArray) -> FloatArray:
     """Where the nozzle of `kalico_plan`'s moves is at the times t (k,) s → (k, 3) mm."""
-    at = np.maximum(np.searchsorted(moves[:, 0], t, side="right") - 1, 0)
-    _, accel_t, cruise_t, decel_t, *_, start_v, cruise_v, acceleration = moves[at].T
-    since = t - moves[at, 0]
-    t1 = np.clip(since, 0.0, accel_t)
-    t2 = np.clip(since - accel_t, 0.0, cruise_t)
-    t3 = np.clip(since - accel_t - cruise_t, 0.0, decel_t)
-    rise, fall = start_v * t1 + 0.5 * acceleration * t1**2, cruise_v * t3 - 0.5 * acceleration * t3**2
-    return moves[at, 4:7] + moves[at, 7:10] * (rise + cruise_v * t2 + fall)[:, None]
+    return np.ascontiguousarray(trajectory_of(moves).position(t)[:, :3])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from validation.plants import delta_plant
 
@@ -44,11 +45,9 @@ class Chip:
 
 def draw_chip(rng: np.random.Generator, axes: FloatArray, tilt_deg: float = 2.0, rate_hz: float = 3200.0) -> Chip:
     """Draw a chip whose rate is within 1 %, tilted by so much about a horizontal axis, on a signed permutation."""
-    about, angle = rng.uniform(0, 2 * np.pi), np.deg2rad(tilt_deg)
-    u = np.array([np.cos(about), np.sin(about), 0.0])
-    skew = np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
-    tilted = np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
-    return Chip(rate_hz * rng.uniform(0.99, 1.01), axes @ tilted)
+    about = rng.uniform(0, 2 * np.pi)
+    tilt = Rotation.from_rotvec([tilt_deg * np.cos(about), tilt_deg * np.sin(about), 0.0], degrees=True)
+    return Chip(rate_hz * rng.uniform(0.99, 1.01), axes @ tilt.as_matrix())
 
 
 def nozzle_felt(machine: dict[str, Any], nozzle: Any, begin_s: float, end_s: float) -> CubicSpline:
