@@ -28,11 +28,11 @@ BELTS = """
 GUIDES = "guide_b dry stick bristle micro grease notch"
 # m/s and power of the surplus at rest; m/s, of the tanh; share of the deflection up to which nothing slides; m, of the
 # backlash's soft edges; s/m, damping while it closes; share of the compliance that is the stepper's; share of k lost in
-# the end, and s; share of k, once a turn, rad/m; rad/m; s; shares of the ripple's harmonics, the second's phase; kg,
+# the end, and s; share of k, once a turn, rad/m; rad/m; s; share of the ripple's second harmonic, and its phase; kg,
 # N/m, N s/m of the bracket of the motor `soft_motor` (-1: none)
 SHAPED = """
     stick_v stick_power dry_v breaks flank landing stepper_share warm_share warm_s pulley_share pulley_wave notch_wave
-    visco_s ripple_second ripple_third ripple_phase soft_mass soft_k soft_b
+    visco_s ripple_second ripple_phase soft_mass soft_k soft_b
 """
 NEUTRAL: Mapping[str, Any] = {
     **dict.fromkeys(("stick_v", "stick_power", "stepper_share", "warm_s", "visco_s"), 1.0),
@@ -138,8 +138,8 @@ def rippled(u: float, du: float, ud: float, dud: float, i: int, p: Any) -> tuple
     if p.ripple[i] != 0.0:
         w = p.ripple_wave[i]
         first, second = w * ud, 2.0 * w * ud + p.ripple_phase
-        u += p.ripple[i] * (np.sin(first) + p.ripple_second * np.sin(second) + p.ripple_third * np.sin(3.0 * first))
-        slope = np.cos(first) + 2.0 * p.ripple_second * np.cos(second) + 3.0 * p.ripple_third * np.cos(3.0 * first)
+        u += p.ripple[i] * (np.sin(first) + p.ripple_second * np.sin(second))
+        slope = np.cos(first) + 2.0 * p.ripple_second * np.cos(second)
         du += p.ripple[i] * w * dud * slope
     return u, du
 

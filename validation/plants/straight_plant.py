@@ -46,7 +46,7 @@ EACH = f"""{BELTS} {GUIDES}
     carriage tool ground tool_ground mount_k mount_b sway_mass sway_k sway_b loose
 """
 ONE = f"""{SHAPED}
-    cable_mass cable_k cable_b stop_gap stop_k loose_grip beam beam_gain beam_at beam_half yaw yaw_k yaw_b yaw_at
+    cable_mass cable_k cable_b loose_grip beam beam_gain beam_at beam_half yaw yaw_k yaw_b yaw_at
     yaw_arm yaw_grip head
 """
 PRINTER = np.dtype(
@@ -128,10 +128,6 @@ class Plant:
     mount_n_s_per_m: tuple[float, float] = (2.0, 2.0)
     friction_n: tuple[float, float] = (0.0, 0.0)  # LuGre's
     bristle_n_per_m: float = 4e5
-    play_m: tuple[float, float] = (0.0, 0.0)  # of each belt, the whole dead band, with hard edges
-    hardening_n_per_m3: tuple[float, float] = (0.0, 0.0)
-    ripple_m: tuple[float, float] = (0.0, 0.0)  # with a third harmonic of a tenth
-    pitch_m: float = 0.8e-3
     delay_s: float = 0.0
     growth_per_m: float = 0.0  # of what moves along y, by the height of the print
     yaw_kg_m2: float = 0.0  # of the gantry about its middle, without the toolhead; zero: it cannot yaw
@@ -139,9 +135,7 @@ class Plant:
     yaw_damping_ratio: float = 0.04
     yaw_arm_m: float = 0.0  # by which the belts' force along x turns it
     head_kg: float = 0.0  # of what moves along y, what rides on the gantry
-    middle_m: float = 0.1  # x of the middle of gantry and beam
-    beam_slack: float = 0.0  # of the beam's middle, relative to that of the belts of y
-    beam_m: float = 0.12  # half its length
+    middle_m: float = 0.1  # x of the middle of the gantry
 
     def fields(self, height_mm: float = 0.0) -> dict[str, Any]:
         """Return the fields of PRINTER under a print of this height."""
@@ -154,9 +148,6 @@ class Plant:
             **{"ground": np.zeros(2), "tool_ground": np.zeros(2)},
             **{"dry_kind": LUGRE if rubs.any() else 0, "dry": rubs, "micro": 1.0 * (rubs > 0.0)},
             "bristle": np.where(rubs > 0.0, rubs / self.bristle_n_per_m, 1.0),
-            **{"play": self.play_m, "flank": 1e-12, "cubic": self.hardening_n_per_m3},
-            **{"ripple": self.ripple_m, "ripple_wave": 2 * np.pi / self.pitch_m, "ripple_third": 0.1},
-            **{"beam": self.beam_slack, "beam_at": self.middle_m, "beam_half": self.beam_m},
             **{"yaw": self.yaw_kg_m2, "yaw_k": self.yaw_kg_m2 * omega**2, "yaw_at": self.middle_m},
             "yaw_b": 2 * self.yaw_damping_ratio * omega * self.yaw_kg_m2,
             **{"yaw_arm": self.yaw_arm_m, "yaw_grip": 0.0, "head": self.head_kg},
@@ -198,12 +189,8 @@ def simulate(plant: Plant, command_mm: Array, rate_hz: float, height_mm: float =
 
 @njit(cache=True, error_model="numpy")
 def _held(y: Array, a: int, p: Any) -> float:
-    """Force of the mount on the carriage of axis a, N; beyond a gap it meets a stop."""
-    bends = y[TOOL + a] - y[Q + a]
-    force = p.mount_k[a] * bends + p.mount_b[a] * (y[TOOLV + a] - y[V + a])
-    if p.stop_k > 0.0:
-        force += p.stop_k * (max(bends - p.stop_gap, 0.0) + min(bends + p.stop_gap, 0.0))
-    return force
+    """Force of the mount on the carriage of axis a, N."""
+    return p.mount_k[a] * (y[TOOL + a] - y[Q + a]) + p.mount_b[a] * (y[TOOLV + a] - y[V + a])
 
 
 @njit(cache=True, error_model="numpy")
