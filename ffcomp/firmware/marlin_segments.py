@@ -20,6 +20,7 @@ from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import row_after
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.lifts import STEEP
 from ffcomp.planner.segment_merging import at_most
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from gcode.program import LimitCommand, ModalState
@@ -117,8 +118,9 @@ class MarlinSegments(Segments):
 
     def times(self, at: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return times such that no segment is cut: where one is too long, the next make up for it."""
-        aside = np.any(points[1:, :2] != points[:-1, :2], axis=1)  # what only lifts is not cut
-        lasting = _shortened((at[1:] - at[:-1]) * self.knot_s, np.where(aside, self.longest_s, np.inf))
+        aside, up = np.hypot(*np.diff(points[:, :2], axis=0).T), np.abs(np.diff(points[:, 2]))
+        most_s = np.where(STEEP * aside > up, self.longest_s, np.inf)  # parts of a lift are long enough
+        lasting = _shortened((at[1:] - at[:-1]) * self.knot_s, most_s)
         return at[0] * self.knot_s + np.append(0.0, np.cumsum(lasting)), lasting
 
     def speeds(

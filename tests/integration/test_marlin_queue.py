@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,14 @@ def test_slow_lifts_are_late_rather_than_slower(robust: bool) -> None:
     found = stream.value.statistics
     assert not found.slowed
     assert found.print_time_s - found.settling_s < 1.035 * found.original_print_time_s
+
+
+def test_a_long_lift_of_a_delta_keeps_its_speed() -> None:
+    """Its ends on whole steps lie a few µm beside each other, and Marlin cuts its line: it is as long as planned."""
+    lines = b"G90\nM83\nG28\nG1 X-100 Y2 Z.9 F6000\nG1 X-108.243 Y1.579 E.5 F3000\nG1 E-1 F3600\nG1 Z60 F6000\n"
+    written = Job(lines, "lift", load_machine("flsun-qqs"), CompensateOptions(flavor="marlin", predict=False)).lines()
+    text = b"".join(written)
+    assert max(float(feed) for feed in re.findall(rb"^G1[^;\n]* F([\d.]+)", text, re.MULTILINE)) < 9000
 
 
 @pytest.mark.parametrize(
