@@ -87,7 +87,11 @@ def open_archive(reopen: _Open, path: str) -> Iterator[Archive]:
         names = [name for name in members if _GCODE.fullmatch(name)]
         if not names:
             raise UnsupportedGcode(_no_gcode(members), path=path)
-        checksums = {name: _start(archive, name + ".md5") for name in names if name + ".md5" in members}
+        checksums = {}
+        for name in names:
+            if name + ".md5" in members:
+                with archive.open(name + ".md5") as member:
+                    checksums[name] = member.read(_MD5_BYTES)
     prints = {name: _print(reopen, members[name], f"{path}/{name}") for name in names}
     for name, checksum in checksums.items():
         _check_digest(prints[name], checksum, f"{path}/{name}")
@@ -107,11 +111,6 @@ def _print(reopen: _Open, member: ZipInfo, path: str) -> Text:
 def _unpacked(reopen: _Open, name: str, path: str) -> Generator[bytes, None, None]:
     with _damage_as_error(path), reopen() as file, ZipFile(file) as archive, archive.open(name) as member:
         yield from pieces(member)
-
-
-def _start(archive: ZipFile, name: str) -> bytes:
-    with archive.open(name) as member:
-        return member.read(_MD5_BYTES)
 
 
 @contextmanager
@@ -147,13 +146,9 @@ def _check_records(archive: ZipFile, file: BinaryIO) -> None:
     """Check that the records to copy lie where the directory says, with nothing in between."""
     for place, each in enumerate(sorted(archive.infolist(), key=lambda each: each.header_offset)):
         begins = each.header_offset == 0 if place == 0 else each.header_offset > 0
-        if not begins or _at(file, each.header_offset, 4) != _RECORD:
+        file.seek(each.header_offset)
+        if not begins or file.read(4) != _RECORD:
             raise BadZipFile(f"{each.filename!r} is not at the position in the directory")
-
-
-def _at(file: BinaryIO, place: int, count: int) -> bytes:
-    file.seek(place)
-    return file.read(count)
 
 
 def _no_gcode(names: Iterable[str]) -> str:

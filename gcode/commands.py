@@ -16,7 +16,7 @@ from typing import NamedTuple
 from gcode.dialect import KLIPPER, MARLIN, REPRAPFIRMWARE
 from gcode.dialects import limit_unit
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.program import EventKind, LimitCommand, RawMove
+from gcode.program import MACHINE_LIMITS, EventKind, LimitCommand, RawMove
 from gcode.state import AXES, INCH_MM, Modal
 from gcode.words import Command
 
@@ -149,13 +149,16 @@ def _mode(modal: Modal, command: Command) -> Effect:
         case "G20" | "G21":
             modal.unit = INCH_MM if command.name == "G20" else 1.0
         case "G90" | "G91":
-            modal.set_modes(absolute=command.name == "G90")
+            modal.absolute = command.name == "G90"
+            if modal.dialect.g90_sets_e:
+                modal.absolute_e = modal.absolute
         case "M82" | "M83":
             modal.set_e_mode(absolute=command.name == "M82")
         case "M120":
-            modal.push()
+            modal.pushed.append((modal.absolute, modal.absolute_e, modal.feed, modal.unit))
         case "M121":
-            modal.pop()
+            if modal.pushed:
+                modal.absolute, modal.absolute_e, modal.feed, modal.unit = modal.pushed.pop()
         case _:
             modal.plane = {"G17": "XY", "G18": modal.dialect.g18_axes, "G19": "YZ"}[command.name]
     return PASS
@@ -203,8 +206,10 @@ def _feed_factor_of_marlin(modal: Modal, command: Command) -> Effect:
 
 
 def _flow(modal: Modal, command: Command) -> Effect:
-    if (flow := _percent(command)) is not None:
-        modal.set_flow(flow)
+    if (flow := _percent(command)) is not None:  # the file's E continues without a jump
+        in_file = (modal.position[3] - modal.base[3]) / modal.flow
+        modal.base[3] = modal.position[3] - in_file * flow
+        modal.flow = flow
     return PASS
 
 
@@ -237,9 +242,10 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
         rule = "modes and offsets are assumed unchanged, and nothing is compensated until the file names a place again"
         warning = f"RESTORE_GCODE_STATE restores {name!r}, which the file never saved; {rule}"
         return Effect(EventKind.STOP, warning=warning, moves_itself=True)
-    modal.restore(modal.saved[name])
+    saved = modal.saved[name]
+    modal.restore(saved)
     if _moves(command):
-        modal.return_to(modal.saved[name])
+        modal.position, modal.z_known = [*saved["position"][:3], modal.position[3]], saved["z_known"]
         return MOVED
     return STOP
 
@@ -289,37 +295,29 @@ def _smallest_xy(words: dict[str, float], command: Command) -> float | None:
     return min((_positive(words[letter], command) for letter in "XY" if letter in words), default=None)
 
 
-def _axis_acceleration(modal: Modal, command: Command) -> Effect:
-    words = _limit_words(modal, command)
+def _axis_limits(modal: Modal, command: Command) -> Effect:
+    """M201 and M203: limits of the axes."""
+    words, by_speed = _limit_words(modal, command), command.name == "M203"
     if (value := _smallest_xy(words, command)) is not None:
-        modal.set_caps(acceleration=value)
-    return _limits(modal, command.name, words)
-
-
-def _axis_velocity(modal: Modal, command: Command) -> Effect:
-    words = _limit_words(modal, command)
-    if (value := _smallest_xy(words, command)) is not None:
-        modal.set_caps(velocity=value)
-    if "E" in words:
+        modal.set_caps(**{"velocity" if by_speed else "acceleration": value})
+    if by_speed and "E" in words:
         modal.set_caps(filament_velocity=_positive(words["E"], command))
     return _limits(modal, command.name, words)
 
 
 def _jerk(modal: Modal, command: Command) -> Effect:
     """M205, M566: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity."""
-    return _jerks(modal, command, command.name, _limit_words(modal, command))
+    words = _limit_words(modal, command)
+    if (value := _smallest_xy(words, command)) is not None:
+        modal.set_limits(square_corner_velocity=value)
+    return _limits(modal, command.name, words)
 
 
 def _jerk_as_m566(modal: Modal, command: Command) -> Effect:
     """RepRapFirmware also obeys M205, in mm/s."""
     words = _limit_words(modal, command)
-    return _jerks(modal, command, "M566", {axis: words[axis] for axis in AXES if axis in words})
-
-
-def _jerks(modal: Modal, command: Command, code: str, words: dict[str, float]) -> Effect:
-    if (value := _smallest_xy(words, command)) is not None:
-        modal.set_limits(square_corner_velocity=value)
-    return _limits(modal, code, words)
+    _jerk(modal, command)
+    return _limits(modal, "M566", {axis: words[axis] for axis in AXES if axis in words})
 
 
 def _velocity_limit(modal: Modal, command: Command) -> Effect:
@@ -357,7 +355,8 @@ _LIMIT_FIELDS = {
 
 
 def _reset_limits(modal: Modal, command: Command) -> Effect:
-    modal.reset_limits()
+    modal.requested = MACHINE_LIMITS
+    modal.set_limits()
     return _limits(modal, command.name)
 
 
@@ -477,8 +476,7 @@ EFFECTS: dict[str, Handler | Effect] = {
     "G92": _rename,
     "G92.1": _names_back,
     "M200": _volumetric,
-    "M201": _axis_acceleration,
-    "M203": _axis_velocity,
+    **dict.fromkeys(("M201", "M203"), _axis_limits),
     "M204": _acceleration,
     "M205": _jerk,
     "M220": _feed_factor,

@@ -71,12 +71,7 @@ def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **se
 
 
 def read_parts(
-    blocks: Iterable[bytes],
-    path: str = "",
-    *,
-    flavor: str,
-    part_bytes: int = PART_BYTES,
-    **settings: Unpack[Reading],
+    blocks: Iterable[bytes], path: str = "", *, flavor: str, part_bytes: int = PART_BYTES, **settings: Unpack[Reading]
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together equal `read_program`'s.
 

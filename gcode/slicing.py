@@ -132,15 +132,11 @@ def passed_through(program: Program, which: NDArray[np.bool_], reason: str) -> P
         return program
     gone = np.isin(moves.line, moves.line[which])
     before = np.concatenate([[0], np.cumsum(~gone)])  # moves kept before each one
-    passing = [_event(program, numbers, int(before[numbers[0]]), reason) for numbers in _lines_of(moves, gone)]
+    numbers = np.flatnonzero(gone)
+    lines = np.split(numbers, np.flatnonzero(np.diff(moves.line[numbers])) + 1)  # the moves of each
+    passing = [_event(program, each, int(before[each[0]]), reason) for each in lines]
     staying = [event._replace(move=int(before[event.move])) for event in program.events]
     return replace(program, moves=some(moves, ~gone), events=sorted([*staying, *passing], key=lambda event: event.line))
-
-
-def _lines_of(moves: Moves, gone: NDArray[np.bool_]) -> list[IntArray]:
-    """Return the removed moves, line by line."""
-    numbers = np.flatnonzero(gone)
-    return np.split(numbers, np.flatnonzero(np.diff(moves.line[numbers])) + 1)
 
 
 def _event(program: Program, numbers: IntArray, before: int, reason: str) -> Event:

@@ -134,24 +134,9 @@ class Modal:
             return self.absolute
         return self.absolute_e and (self.absolute or not self.dialect.g91_makes_e_relative)
 
-    def set_modes(self, absolute: bool) -> None:
-        """G90, G91."""
-        self.absolute = absolute
-        if self.dialect.g90_sets_e:
-            self.absolute_e = absolute
-
     def set_e_mode(self, absolute: bool) -> None:
         """M82, M83."""
         self.absolute_e, self.relative_e_stated = absolute, not absolute
-
-    def push(self) -> None:
-        """M120 of RepRapFirmware."""
-        self.pushed.append((self.absolute, self.absolute_e, self.feed, self.unit))
-
-    def pop(self) -> None:
-        """M121 of RepRapFirmware; with an empty stack it changes nothing."""
-        if self.pushed:
-            self.absolute, self.absolute_e, self.feed, self.unit = self.pushed.pop()
 
     def target(self, words: dict[str, float], start: Vector4 | None = None) -> Vector4:
         """Return where a move with these words ends, from the position or another start."""
@@ -189,12 +174,6 @@ class Modal:
         self.feed *= factor / self.feed_factor
         self.feed_factor = factor
 
-    def set_flow(self, flow: float) -> None:
-        """M221: the file's E continues without a jump."""
-        in_file = (self.position[3] - self.base[3]) / self.flow
-        self.base[3] = self.position[3] - in_file * flow
-        self.flow = flow
-
     def offset_axis(self, axis: int, offset: float) -> None:
         """SET_GCODE_OFFSET: later coordinates of this axis lie `offset` further."""
         self.base[axis] += offset - self.homing[axis]
@@ -203,10 +182,6 @@ class Modal:
     def save(self, name: str) -> None:
         """Keep the state under a name (SAVE_GCODE_STATE)."""
         self.saved[name] = {key: copy(getattr(self, key)) for key in _SAVED}
-
-    def return_to(self, saved: Saved) -> None:
-        """RESTORE_GCODE_STATE's move, after it has restored the rest."""
-        self.position, self.z_known = [*saved["position"][:3], self.position[3]], saved["z_known"]
 
     def restore(self, saved: Saved) -> None:
         """RESTORE_GCODE_STATE without its move; E continues from its present value."""
@@ -223,11 +198,6 @@ class Modal:
     def set_limits(self, **changes: float) -> None:
         """Set the limits that the file requests; `caps` still bound them."""
         self.requested = replace(self.requested, **changes)
-        self._bound()
-
-    def reset_limits(self) -> None:
-        """Reset the limits that the file has requested."""
-        self.requested = MACHINE_LIMITS
         self._bound()
 
     def set_caps(self, **changes: float) -> None:

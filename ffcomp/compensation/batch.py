@@ -58,36 +58,29 @@ def compensate_files(
     """
     chosen: list[Path | None] = list(files) if targets is None else list(targets)
     check_targets(files, chosen)
-    return _compensated(list(files), chosen, machine, request, bed, jobs, scheduler, progress)
 
+    def outcomes() -> Generator[FileResult, None, None]:
+        sizes, done = [size_of(file) for file in files], 0
+        with workers(jobs, scheduler) as at_once:
+            batch = _Batch(list(files), chosen, machine, request, bed, at_once, bool(scheduler))
+            # a file of a few parts is too small to share; the largest come first
+            order = sorted(range(len(files)), key=lambda number: -sizes[number])
+            large = [n for n in order if at_once == 1 or sizes[n] > min(at_once * PART_BYTES, LARGEST)]
+            for number in large:
 
-def _compensated(
-    files: list[Path],
-    targets: list[Path | None],
-    machine: Machine,
-    request: CompensateOptions,
-    bed: Bed | None,
-    jobs: int,
-    scheduler: str,
-    progress: Callable[[float], None],
-) -> Generator[FileResult, None, None]:
-    sizes, done = [size_of(file) for file in files], 0
-    with workers(jobs, scheduler) as at_once:
-        batch = _Batch(files, targets, machine, request, bed, at_once, bool(scheduler))
-        large, small = _by_size(sizes, at_once)
-        for number in large:
+                def within(share: float, before: int = done, size: int = sizes[number]) -> None:
+                    progress(before + share * size)
 
-            def within(share: float, before: int = done, size: int = sizes[number]) -> None:
-                progress(before + share * size)
-
-            yield batch.by_all(number, within)
-            done += sizes[number]
-            progress(done)
-        with closing(batch.side_by_side(small)) as outcomes:
-            for outcome in outcomes:
-                done += sizes[outcome.number]
+                yield batch.by_all(number, within)
+                done += sizes[number]
                 progress(done)
-                yield outcome
+            with closing(batch.side_by_side(order[len(large) :])) as found:
+                for outcome in found:
+                    done += sizes[outcome.number]
+                    progress(done)
+                    yield outcome
+
+    return outcomes()
 
 
 def targets_in(folder: Path, files: Sequence[Path]) -> list[Path]:
@@ -270,16 +263,6 @@ def _work(number: int, file: Path, source: Path | bytes, wanted: bool, how: tupl
         to, (machine, request) = draft if wanted else None, how
         outcome = attempt(number, file, lambda path: compensate_file(source, str(path), machine, request, to, bed=bed))
         return _Done(outcome, draft.read_bytes() if draft.exists() else None)
-
-
-def _by_size(sizes: Sequence[int], jobs: int) -> tuple[list[int], list[int]]:
-    """Return the files that all processes work at together, and those that are done side by side; the largest first.
-
-    A file of a few parts is too small to share.
-    """
-    order = sorted(range(len(sizes)), key=lambda number: -sizes[number])
-    large = [number for number in order if jobs == 1 or sizes[number] > min(jobs * PART_BYTES, LARGEST)]
-    return large, order[len(large) :]
 
 
 def size_of(file: Path) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import ceil
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from ffcomp.firmware.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.time_scaling import whole_segments
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import labels
 from gcode.program import Program
@@ -59,7 +59,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[Plann
     if warnings and model.settings.slowing.strict:
         raise LimitsError(warnings[0])
     quick: Program | None = quicker.program
-    if near.any():
+    if near.any() and chunk.extent.end is not None:
         quick = in_whole_segments(quicker.program, quicker.free, chunk.extent, machine, model.settings)
     if quick is None:
         seconds = _by_feature(program, slicers, chunk.feature)
@@ -132,39 +132,21 @@ def _unchanged_moves(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
 
 
 LEAST_SPEED_SHARE = 0.98  # that moves keep
-KNOT_TOLERANCE = 1e-6  # of a segment
 
 
 def in_whole_segments(
     program: Program, free: BoolArray, extent: Extent, machine: Machine, settings: Settings
 ) -> Program | None:
     """Slow the free moves (n,) down by as little as that takes; None: they are too short for it."""
-    from scipy.optimize import brentq
-
-    if extent.end is None:
-        return program
     plan = firmware_plan(program, machine)
-    written_s = _written_s(plan, extent, settings)
-    missing_s = settings.segment_s * ceil(written_s / settings.segment_s - KNOT_TOLERANCE)
 
     def slower(factor: float) -> Program:
-        return replace(
-            program,
-            moves=slowed(program.moves, np.where(free, factor, 1.0), np.minimum(program.moves.speed, plan.cruise_v)),
-        )
+        speed = np.minimum(program.moves.speed, plan.cruise_v)
+        return replace(program, moves=slowed(program.moves, np.where(free, factor, 1.0), speed))
 
-    def too_long_s(factor: float) -> float:
-        return _written_s(firmware_plan(slower(factor), machine), extent, settings) - missing_s
+    def written_s(factor: float) -> float:
+        changed = firmware_plan(slower(factor), machine)
+        return extent.written_s(changed, float(changed.start_t[0]) - settings.lead_s)
 
-    if too_long_s(LEAST_SPEED_SHARE) < 0.0:
-        return None
-    return slower(
-        1.0 if too_long_s(1.0) >= 0.0 else float(brentq(too_long_s, LEAST_SPEED_SHARE, 1.0, xtol=1e-15, rtol=1e-14))
-    )
-
-
-def _written_s(plan: Trajectory, extent: Extent, settings: Settings) -> float:
-    """Return the duration of the written part, s, up to the cut at its end."""
-    begin, end = extent
-    assert end is not None
-    return end.time_in(plan) - (float(plan.start_t[0]) - settings.lead_s if begin is None else begin.time_in(plan))
+    factor = whole_segments(written_s, settings.segment_s, LEAST_SPEED_SHARE)
+    return None if factor is None else slower(factor)

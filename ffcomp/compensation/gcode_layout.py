@@ -156,12 +156,7 @@ def _before(events: list[Event], move: int) -> int:
 
 @kernel
 def _lay_out(
-    at: FloatArray,
-    stands: BoolArray,
-    e: FloatArray,
-    vertices: FloatArray,
-    first: int,
-    shortest: float,
+    at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int, shortest: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
     """Compute the columns of `_Laid`; lines that stand where filament flows have points between the knots.
 
@@ -252,19 +247,10 @@ def _meet_the_events(
     _meet(filament, laid.at, e, known, start[move[flows][which]] + lead_at(known))
     turns, turning = _last_of_each(place[~flows])  # where a flow begins, ends or turns back
     filament[point[~flows][turning]] = start[move[~flows][turning]] + lead_at(turns)
-    renamed = _renames(program, lines.event[events], move, among)
+    # where an event gives the filament's place another number (G92 E0), it must be exact: later it never would be
+    frames = [program.frames[among[k].frame].base[3] for k in lines.event[events].tolist()]
+    renamed = np.array([program.frames[k].base[3] for k in program.moves.frame[move - 1].tolist()]) != frames
     filament[point[renamed]] = start[move[renamed]]
-
-
-def _renames(program: Program, event: IntArray, move: IntArray, inside: list[Event]) -> BoolArray:
-    """Which events give the filament's place another number (G92 E0): if it were not exact there, it never would be.
-
-    event : (k,) index into `inside`;  move : (k,) the move each stands before
-    """
-    before, frames = program.moves.frame[move - 1].tolist(), program.frames
-    after = [inside[k].frame for k in event.tolist()]
-    changed = [a != b and frames[a].base[3] != frames[b].base[3] for a, b in zip(after, before, strict=True)]
-    return np.array(changed, dtype=np.bool_)
 
 
 def _interpolated(points: FloatArray, e: FloatArray, first: int) -> FloatArray:
@@ -298,7 +284,11 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
     place = _interpolated(at, gone, first)
     missing = known - _interpolated(at, e, first)
     between = (at // CUT).astype(np.int64).tolist()  # which cuts
-    usual = {cut: _usual(flow, cut * CUT - first) for cut in set(between)}
+    usual = {}  # median filament of the segments with flow from one cut to the next, mm
+    for cut in set(between):
+        flowing = flow[cut * CUT - first : (cut + 1) * CUT - first]
+        flowing = flowing[flowing > FLOWS_MM]
+        usual[cut] = float(np.median(flowing)) if flowing.size else 0.1
     reaches = [SPREAD_SEGMENTS * usual[cut] for cut in between]
     nodes, values, behind = [0.0], [0.0], reaches[0]
     for s, m, reach in zip(place.tolist(), missing.tolist(), reaches, strict=True):
@@ -319,13 +309,3 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
     nodes += [min(nodes[-1] + behind, pauses[min(bisect_right(pauses, nodes[-1]), len(pauses) - 1)]), pauses[-1]]
     values += [0.0, 0.0]
     filament += np.interp(_interpolated(points, gone, first), nodes, values)
-
-
-def _usual(flow: FloatArray, cut: int) -> float:
-    """Return the median filament, mm, of the segments with flow from one cut to the next.
-
-    flow : (n,) mm in each segment;  cut : the first segment after the cut
-    """
-    flowing = flow[cut : cut + CUT]
-    flowing = flowing[flowing > FLOWS_MM]
-    return float(np.median(flowing)) if flowing.size else 0.1

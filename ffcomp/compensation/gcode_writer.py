@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from operator import itemgetter
@@ -19,10 +19,10 @@ import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.firmware.base import Filament, FileLimits, Segments
+from ffcomp.firmware.base import Filament, FileLimits
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.feasible import SolvedSection
-from ffcomp.inverse.settings import CUT, Settings
+from ffcomp.inverse.settings import CUT
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.segment_merging import merge
@@ -33,53 +33,107 @@ from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
 from gcode.metadata import Timed, tells
-from gcode.program import Event, EventKind, EventQueue, LimitCommand, MotionLimits, Program, note_limits
-from models.arrays import BoolArray, FloatArray, IntArray
+from gcode.program import Event, EventKind, EventQueue, MotionLimits, note_limits
+from models.arrays import FloatArray, IntArray
 from models.compiled import kernel
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
 SLACK_MM = 5e-4  # how far from its place the end of a segment may be written, if that takes fewer digits,
 SLACK_MM_PER_S = 0.05  # and how much that may change the neighbouring speeds
+REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
 
-class Writer:
-    """Turns runs and events, given in the file's order, into lines."""
+class GcodeRenderer:
+    """Writes the lines of one chunk; `step_output.StepRenderer` has the same methods."""
 
-    def __init__(
-        self,
-        program: Program,
-        settings: Settings,
-        segments: Segments,
-        *,
-        offset: tuple[float, float] = (0.0, 0.0),
-        file_limits: Mapping[str, LimitCommand] | None = None,
-        raw_s: Mapping[int, float] | None = None,
-        inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
-    ) -> None:
-        self.program, self.settings, self.firmware = program, settings, segments
-        longest = min(settings.merging.longest, segments.longest_s / settings.segment_s)
-        self.merging = replace(settings.merging, longest=longest)
-        self.offset = offset
-        self.filament = segments.count()
-        self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
-        self.raw_s = raw_s or {}  # durations of lines that pass through, by their index
+    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
+        model, program = context.model, chunk.planned.program
+        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, model.full_machine.kinematics
+        self.program, self.settings = program, model.settings
+        self.firmware = FIRMWARES[context.flavor].segments(model)
+        longest = min(self.settings.merging.longest, self.firmware.longest_s / self.settings.segment_s)
+        self.merging = self.settings.merging._replace(longest=longest)
+        self.filament = self.firmware.count()
+        # which points (n, 3) mm the firmware lets a command go to
+        self.inside = partial(self._kinematics.contains, margin_mm=-REFIT_MM)
+        self.offset, self.raw_s = context.offset, chunk.raw_s
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False
         self.to_return = False  # a macro that comes back has run since the last move
         self.move = 0  # the last that was begun: its limits are the file's own
-        self.file_limits = dict(file_limits or {})  # what the file has set of each limit
+        self.file_limits = dict(chunk.chunk.limits)  # what the file has set of each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
         self.late_s = 0.0  # sum of their delays against their knots
         self.now_s = 0.0  # since the program's beginning
-        self.written: Sequence[
-            TimedSegments
-        ] = []  # the section's tiles, as their lines state them; s since its first knot
+        # the section's tiles, as their lines state them; s since its first knot
+        self.written: Sequence[TimedSegments] = []
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
         self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
+        self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
+        stops, waits = stops_and_waits(program)
+        self._at_rest = stops | (waits > 0.0)  # (n,) before each move
+        self.note_returns(chunk.chunk.since)
+
+    # -- a chunk, in the file's order
+
+    def before(self, section: Section) -> Iterator[bytes]:
+        """Write the lines before a section."""
+        yield from self._events_before(section.first)
+        if wait_s := self._waits_s.get(section.first):
+            self.now_s += wait_s
+            yield b"G4 P%.0f" % (1e3 * wait_s) + OURS + self.ending
+
+    def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
+        """Write the segments of a section, tile by tile, and the lines in it."""
+        planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
+        heights = planned.program.moves.end[section.first : section.last, 2]
+        vertices = self._kinematics.drawn_in(solved.solution.vertices, heights)
+        inside = self._events.up_to(section.last - 1)
+        if self._extent.begin is not None and section is planned.sections[0]:
+            # within a block, and within a run, that another writer has begun
+            self.open, self.begun, self.move = True, True, self._extent.begin.move
+            self.frame = int(planned.program.moves.frame[self.move])
+            self._begin_frame([*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])])
+        for tile in tiles(reference.knots, begin=begin, end=end):
+            part = vertices[tile.first : tile.last + 1]
+            events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
+            if tile.end == end < reference.knots and self._extent.end is not None:
+                # where whole steps keep a motion that was slowed down from ending at a knot, the next one resumes here
+                t = self._extent.end.time_in(solved.trajectory)
+                ends = float(solved.trajectory.position(np.array([t]))[0, 3])
+                lead = reference.lead_at(np.array([reference.knot_of(t)]))
+                events.e[np.searchsorted(events.at, end)] = ends + lead[0]
+            yield from self.tile(section.first, part, events, self._filament_after(section))
+
+    def _filament_after(self, section: Section) -> Filament | None:
+        """Return the filament that moves behind a section, if the firmware's queue holds it while the section ends."""
+        moves, k = self._planned.program.moves, section.last
+        if k >= len(moves) or self._at_rest[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
+            return None
+        return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
+
+    def sliced(self, section: Section) -> Iterator[bytes]:
+        """Write the original lines of a section."""
+        if section.travels:
+            yield from self.keep(section, self._events.up_to(section.last - 1))
+        else:
+            yield from self.extrude(section)
+
+    def finish(self) -> Iterator[bytes]:
+        """Write the lines after the last section, and restore the file's limits."""
+        if self._extent.end is None:
+            yield from self._events_before(len(self._planned.program.moves))
+            yield from self.close()
+        else:
+            yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
+
+    def _events_before(self, move: int) -> Iterator[bytes]:
+        for event in self._events.up_to(move):
+            yield from self.event(event)
 
     # -- lines between runs
 
@@ -122,11 +176,6 @@ class Writer:
         for event in events:
             self.to_return = event.returns or (self.to_return and not event.moves_itself)
 
-    def wait(self, seconds: float) -> Iterator[bytes]:
-        """Rest until the ringing of a motion that is not compensated has died away."""
-        self.now_s += seconds
-        yield b"G4 P%.0f" % (1e3 * seconds) + OURS + self.ending
-
     def close(self) -> Iterator[bytes]:
         """End a block: the file's limits and feed are in force again."""
         if self.open:
@@ -141,10 +190,6 @@ class Writer:
         feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
         text = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
         return b"G1 F" + text + OURS + self.ending
-
-    def cut(self) -> Iterator[bytes]:
-        """End within a block that another writer goes on with: `resume`."""
-        yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
 
     def extrude(self, section: Section) -> Iterator[bytes]:
         """Write a section that moves only the extruder, unchanged but always with its feed."""
@@ -194,17 +239,6 @@ class Writer:
 
         return re.sub(rb"([XYxy])\s*([-+]?\d*\.?\d+)", moved, code) + OURS + self.ending
 
-    def resume(self, move: int, place: list[float]) -> None:
-        """Go on within a block, and within a run, that another writer has begun.
-
-        place : mm, X Y Z E, where its last segment has ended
-        """
-        moves = self.program.moves
-        self.open, self.begun = True, True
-        self.move = move
-        self.frame = int(moves.frame[move])
-        self._begin_frame(place)
-
     # -- a run
 
     def tile(
@@ -235,7 +269,7 @@ class Writer:
             part = segments.part(since, until)
             text += self._segments_and_lines(part, [(k - since, line) for k, line in lines[a:b]], stated[since:until])
             since = until
-        self.written = [*self.written, replace(timed, vertices=np.vstack([begins, stated]))]
+        self.written = [*self.written, timed._replace(vertices=np.vstack([begins, stated]))]
         yield from joined(text)
 
     def _segments(
@@ -277,12 +311,9 @@ class Writer:
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
         frame = self.frame
         for k, (_, line) in enumerate(lines):
-            if isinstance(line, Event) and (line.frame != frame or self._counts_filament(line)):
+            if isinstance(line, Event) and (line.frame != frame or self.filament.set_by(self.program.lines[line.line])):
                 frame = line.frame
                 yield k
-
-    def _counts_filament(self, event: Event) -> bool:
-        return bool(self.filament.set_by(self.program.lines[event.line]))
 
     def _segments_and_lines(
         self, segments: _Segments, lines: list[tuple[int, _Line]], stated: FloatArray
@@ -345,19 +376,12 @@ class Writer:
             self.open = True
             self.frame = int(moves.frame[move])
             self._begin_frame(moves.start[move].tolist())
-            yield from self._return(float(moves.speed[move]))
+            if self.to_return:  # at travel speed after a macro that left the nozzle elsewhere, or an excluded object
+                yield from self._ours(self.moves.here(float(moves.speed[move])))
+            self.to_return = False
             yield from self._ours(self.filament.opening(self.program.frames[self.frame]))
             yield from self._ours(self.firmware.opening(self._file_limits()))
         self._take_frame(int(moves.frame[move]))
-
-    def _return(self, speed: float) -> Iterator[bytes]:
-        """Move to the run's start, within the file's own limits, where the nozzle may be elsewhere.
-
-        The nozzle then returns at travel speed after a macro that left it elsewhere, or an excluded object.
-        """
-        if self.to_return:
-            yield from self._ours(self.moves.here(speed))
-        self.to_return = False
 
     def _original(self, line: int) -> bytes:
         """Keep a line of the original as a comment, if the file shall hold its original."""
@@ -493,79 +517,3 @@ def _stated(points: FloatArray, base: _Place, unit: float) -> FloatArray:
     counts = 1e4 if unit == 1.0 else 1e6
     origin = np.array(base[:3])
     return np.asarray(np.rint((points - origin) / unit * counts) / counts * unit + origin)
-
-
-REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
-
-
-class GcodeRenderer(Writer):
-    """Writes the lines of one chunk; `step_output.StepRenderer` has the same methods."""
-
-    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
-        model, program = context.model, chunk.planned.program
-        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, model.full_machine.kinematics
-        super().__init__(
-            program,
-            model.settings,
-            FIRMWARES[context.flavor].segments(model),
-            offset=context.offset,
-            file_limits=chunk.chunk.limits,
-            raw_s=chunk.raw_s,
-            inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
-        )
-        self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
-        stops, waits = stops_and_waits(program)
-        self._at_rest = stops | (waits > 0.0)  # (n,) before each move
-        self.note_returns(chunk.chunk.since)
-
-    def before(self, section: Section) -> Iterator[bytes]:
-        """Write the lines before a section."""
-        yield from self._events_before(section.first)
-        if wait_s := self._waits_s.get(section.first):
-            yield from self.wait(wait_s)
-
-    def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
-        """Write the segments of a section, tile by tile, and the lines in it."""
-        planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
-        heights = planned.program.moves.end[section.first : section.last, 2]
-        vertices = self._kinematics.drawn_in(solved.solution.vertices, heights)
-        inside = self._events.up_to(section.last - 1)
-        if self._extent.begin is not None and section is planned.sections[0]:
-            position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
-            self.resume(self._extent.begin.move, position)
-        for tile in tiles(reference.knots, begin=begin, end=end):
-            part = vertices[tile.first : tile.last + 1]
-            events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
-            if tile.end == end < reference.knots and self._extent.end is not None:
-                # where whole steps keep a motion that was slowed down from ending at a knot, the next one resumes here
-                t = self._extent.end.time_in(solved.trajectory)
-                ends = float(solved.trajectory.position(np.array([t]))[0, 3])
-                lead = reference.lead_at(np.array([reference.knot_of(t)]))
-                events.e[np.searchsorted(events.at, end)] = ends + lead[0]
-            yield from self.tile(section.first, part, events, self._filament_after(section))
-
-    def _filament_after(self, section: Section) -> Filament | None:
-        """Return the filament that moves behind a section, if the firmware's queue holds it while the section ends."""
-        moves, k = self._planned.program.moves, section.last
-        if k >= len(moves) or self._at_rest[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
-            return None
-        return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
-
-    def sliced(self, section: Section) -> Iterator[bytes]:
-        """Write the original lines of a section."""
-        if section.travels:
-            yield from self.keep(section, self._events.up_to(section.last - 1))
-        else:
-            yield from self.extrude(section)
-
-    def finish(self) -> Iterator[bytes]:
-        """Write the lines after the last section, and restore the file's limits."""
-        if self._extent.end is None:
-            yield from self._events_before(len(self._planned.program.moves))
-            yield from self.close()
-        else:
-            yield from self.cut()
-
-    def _events_before(self, move: int) -> Iterator[bytes]:
-        for event in self._events.up_to(move):
-            yield from self.event(event)

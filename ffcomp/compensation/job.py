@@ -265,16 +265,21 @@ class Job:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
         while not len(first[-1].moves) and (more := next(parts, None)) is not None:
             first.append(more)
-        share = self._share(first[-1]) if self.request.predict else 0.0
+        share = 0.0  # of the print that is simulated while it is compensated; above 1: all of it
+        if self.request.predict:
+            moves, size = first[-1].moves, max(first[-1].size, 1)
+            quickest_s = float((lines_of(moves).length / moves.speed).sum()) * self.size / size
+            share = LONGEST_S / max(quickest_s, 1e-9)
         bound = None if self.bound is None else with_slicer_settings(self.bound, *self._ends[:2])
         context = Context(self.model, self.flavor, self.offset, share, bound)
-        return self._chunks(chain(first, parts)), context
+        s, plan_of = self.settings, partial(firmware_plan, machine=self.machine)
 
-    def _share(self, first: Program) -> float:
-        """Return how much of the print is simulated while it is compensated; above 1: all of it."""
-        first_s = float((lines_of(first.moves).length / first.moves.speed).sum())
-        quickest_s = first_s * self.size / max(first.size, 1)
-        return LONGEST_S / max(quickest_s, 1e-9)
+        def eased(around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
+            return scale_around_cut(self.model, around, cut, replanner_of(around, self.machine, layers))
+
+        ease = eased if s.slowing.slow else None
+        splitting = Splitting(s.segment_s, s.lead_s, plan_of, chunks.LONGEST_S, ease)
+        return split_chunks(chain(first, parts), splitting), context
 
     def _parts(self, reach: Reach) -> Iterator[Program]:
         """Read the print; moves outside the print volume pass through unchanged, unless they print the part."""
@@ -292,15 +297,6 @@ class Job:
         return read_as_planned(
             blocks, self.path, self.machine, self.flavor, offset_mm=offset, filament_change_s=change_s
         )
-
-    def _chunks(self, parts: Iterable[Program]) -> Iterator[Chunk]:
-        s = self.settings
-        ease = self._eased if s.slowing.slow else None
-        plan_of = partial(firmware_plan, machine=self.machine)
-        return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, chunks.LONGEST_S, ease))
-
-    def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
-        return scale_around_cut(self.model, around, cut, replanner_of(around, self.machine, layers))
 
     def at_first(self) -> Statistics:
         """Return the warnings about the file as a whole."""

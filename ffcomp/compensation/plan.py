@@ -20,7 +20,6 @@ from ffcomp.planner.trajectory import Section
 from gcode.program import Event
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.base import Modes
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +91,9 @@ def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
     changes = Statistics(original_print_time_s=changing_s, print_time_s=changing_s)
     settling = Statistics(print_time_s=settling_s, settlings=len(waits), settling_s=settling_s)
     statistics = around + by_plan + of_raw(raw, raw_s) + changes + settling
-    simulated = _is_simulated(chunk, context.share)
+    # of a motion in several chunks, a share of them is sampled
+    share = min(context.share, 1.0)
+    simulated = share > 0.0 if chunk.extent == WHOLE else ceil(share * (chunk.cuts + 1)) > ceil(share * chunk.cuts)
     return PlannedChunk(chunk, planned, before, simulated, statistics, raw_s | changes_s, waits)
 
 
@@ -105,13 +106,6 @@ def _left_behind(chunk: Chunk, past: PlannedProgram, model: InverseModel) -> Res
         return None
     dwells_s = sum(event.dwell_s for event in chunk.since if event.move == 0)
     return replace(resting, since_t=resting.since_t - past.trajectory.end_t - dwells_s)
-
-
-def _is_simulated(chunk: Chunk, share: float) -> bool:
-    """Return whether the prediction may sample it. Of a motion in several chunks, a share of them is sampled."""
-    if chunk.extent == WHOLE:
-        return share > 0.0
-    return ceil(min(share, 1.0) * (chunk.cuts + 1)) > ceil(min(share, 1.0) * chunk.cuts)
 
 
 # Vibration that is left at most when the first compensated extrusion begins. In the first 100 ms of a straight line
@@ -172,21 +166,15 @@ def ringing_s(machine: Machine, xy: FloatArray, acceleration: float, axes: Itera
     acceleration : of the ramp, mm/s²
     axes : along which it may have moved
     """
-    (modes,) = machine.vibration.modes(xy[None])
-    return max((_mode_s(*mode, acceleration) for mode in _excited(modes, list(axes))), default=0.0)
-
-
-def _excited(modes: Modes, axes: list[int]) -> list[tuple[float, float]]:
-    """Return angular frequency and damping ratio of the modes that move the nozzle along one of the axes."""
+    modes, along, longest_s = machine.vibration.modes_at(xy), list(axes), 0.0
     motion = np.abs(modes.nozzle)
-    takes_part = (motion[:, axes] > EXCITED_SHARE * motion.max(initial=0.0)).any(axis=1)
+    takes_part = (motion[:, along] > EXCITED_SHARE * motion.max(initial=0.0)).any(axis=1)
     w = 2.0 * np.pi * modes.frequencies_hz[takes_part]
-    return list(zip(w.tolist(), modes.damping_ratios[takes_part].tolist(), strict=True))
-
-
-def _mode_s(w: float, damping: float, acceleration: float) -> float:
-    too_much = 2.0 * acceleration / (w * w * RESIDUAL_MM)
-    return log(too_much) / (damping * w) if too_much > 1.0 and damping > 0.0 else 0.0
+    for omega, damping in zip(w.tolist(), modes.damping_ratios[takes_part].tolist(), strict=True):
+        too_much = 2.0 * acceleration / (omega * omega * RESIDUAL_MM)
+        if too_much > 1.0 and damping > 0.0:
+            longest_s = max(longest_s, log(too_much) / (damping * omega))
+    return longest_s
 
 
 def _lasting(events: Iterable[Event], raw_s: Mapping[int, float]) -> list[tuple[Event, float]]:

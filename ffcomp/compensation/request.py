@@ -82,10 +82,7 @@ class CompensateOptions(Request):
     ] = False
     embed: Annotated[
         bool,
-        Option(
-            "Keep the original's moves in the file as comments, for restore, show, simulate and compare.",
-            OUTPUT,
-        ),
+        Option("Keep the original's moves in the file as comments, for restore, show, simulate and compare.", OUTPUT),
     ] = True
     keep_shaper: Annotated[
         bool | None,
@@ -204,12 +201,10 @@ class CompensateFilesRequest(CompensateOptions):
     ]
     machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
     output: Annotated[
-        Path | None,
-        Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE"),
+        Path | None, Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE")
     ] = None
     output_dir: Annotated[
-        Path | None,
-        Option("Write files of the same names here and leave the inputs unchanged.", OUTPUT, metavar="DIR"),
+        Path | None, Option("Write files of the same names here and leave the inputs unchanged.", OUTPUT, metavar="DIR")
     ] = None
     dry_run: Annotated[bool, Option("Do everything, write nothing.", OUTPUT)] = False
 

@@ -90,63 +90,46 @@ class Result:
     def warnings(self) -> list[str]:
         """All warnings, in sentences."""
         slowed = self.statistics.slowed
-        sentences = [each.sentence() for each in slowed[:LISTED]]
+        sentences = [*self._general_warnings, *(each.sentence() for each in slowed[:LISTED])]
         if len(slowed) > LISTED:
             more_s = sum(each.seconds for each in slowed[LISTED:])
             sentences.append(
                 f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
             )
-        return [*self._general_warnings, *sentences]
+        return sentences
 
     @property
     def warning_lines(self) -> list[str]:
         """The same for people, in a few lines."""
-        numbers = self.statistics
-        return warning_lines(self._general_warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
+        numbers, general = self.statistics, list(self._general_warnings)
+        return warning_lines(general, numbers.slowed, self.machine, numbers.original_print_time_s)
 
     @property
-    def _general_warnings(self) -> list[str]:
+    def _general_warnings(self) -> Iterator[str]:
         numbers = self.statistics
-        failed = [self.forecast.failed] if self.forecast.failed else []
-        general = [
-            *unsafe_sentences(numbers.unsafe),
-            *self.no_gain,
-            *failed,
-            *numbers.shares.warnings(),
-            *numbers.warnings,
-        ]
-        return [*general, *self.bound_missed, *self.slow_boards]
+        yield from unsafe_sentences(numbers.unsafe)
+        if self.predicted and numbers.faster is None:
+            before, after = (um(self.predicted[name].contour_rms_um) for name in WAYS)
+            if float(after) > float(before):
+                yield (
+                    f"Compensation makes this print worse by its own prediction: contour error {after} µm rms, against "
+                    f"{before} µm without it. Print the original."
+                )
+        if self.forecast.failed:
+            yield self.forecast.failed
+        yield from (*numbers.shares.warnings(), *numbers.warnings, *self.bound_missed)
+        per_s = numbers.segments / max(numbers.print_time_s, 1e-9)
+        if per_s >= FIRMWARES[self.flavor.flavor].slow_board_per_s:
+            yield (
+                f"The file has {per_s:.0f} segments a second. An 8-bit board, or a serial line at 115200 baud "
+                "(OctoPrint), falls behind and the print stutters: print it from the card of a 32-bit board."
+            )
 
     @property
     def unknown(self) -> list[str]:
         """Return in one line the parameters that the machine file does not know."""
         sentences = [assumed_modes(self.machine), *(self.shaper.warnings if self.shaper else [])]
         return [" ".join(filter(None, sentences))] if any(sentences) else []
-
-    @property
-    def slow_boards(self) -> list[str]:
-        """Say which boards cannot follow so many segments."""
-        numbers = self.statistics
-        per_s = numbers.segments / max(numbers.print_time_s, 1e-9)
-        if per_s < FIRMWARES[self.flavor.flavor].slow_board_per_s:
-            return []
-        return [
-            f"The file has {per_s:.0f} segments a second. An 8-bit board, or a serial line at 115200 baud (OctoPrint), "
-            "falls behind and the print stutters: print it from the card of a 32-bit board."
-        ]
-
-    @property
-    def no_gain(self) -> list[str]:
-        """Warn where the original is predicted to print better, unless the print was to be quicker."""
-        if not self.predicted or self.statistics.faster is not None:
-            return []
-        before, after = (um(self.predicted[name].contour_rms_um) for name in WAYS)
-        if float(after) <= float(before):
-            return []
-        return [
-            f"Compensation makes this print worse by its own prediction: contour error {after} µm rms, against "
-            f"{before} µm without it. Print the original."
-        ]
 
     @property
     def bound_missed(self) -> list[str]:

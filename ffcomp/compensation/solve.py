@@ -79,21 +79,15 @@ def solutions(
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
     travelling = _linear(planned, model, before, wants, keep_responses, layers_before, extent)
-    if model.printer is not None:
-        travelling = _corrected(list(travelling), planned, model, model.printer, extent)
+    if model.printer is not None:  # correct them by the whole printer, effects included
+        from ffcomp.inverse.nonlinear import correct_sections
+
+        corrected = correct_sections(model, model.printer, list(travelling))
+        wholes = (WHOLE if each.knots == (0, each.reference.knots) else extent for each in corrected)
+        checked = zip(corrected, wholes, strict=True)
+        travelling = (_checked(each, planned, model, part) for each, part in checked)
     for section in planned.sections:
         yield section, next(travelling) if section.travels else None
-
-
-def _corrected(
-    sections: list[SolvedSection], planned: PlannedProgram, model: InverseModel, printer: Machine, extent: Extent
-) -> Iterator[SolvedSection]:
-    """Correct linear solutions by the whole printer, effects included."""
-    from ffcomp.inverse.nonlinear import correct_sections
-
-    for solved in correct_sections(model, printer, sections):
-        whole = solved.knots == (0, solved.reference.knots)
-        yield _checked(solved, planned, model, WHOLE if whole else extent)
 
 
 def _linear(

@@ -22,7 +22,7 @@ from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.numerics.serialise import keys
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import BESIDE
-from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
+from ffcomp.planner.trajectory import Section
 from gcode.program import Event, Moves, Program
 from gcode.slicing import some
 from models.machine import Machine
@@ -71,13 +71,6 @@ class Shares:
         """The sum of all uncompensated moves."""
         return sum(self.left.values(), Amount())
 
-    def by_command(self) -> dict[str, dict[Place, Amount]]:
-        """Return the places of each command, in the file's order."""
-        grouped: dict[str, dict[Place, Amount]] = {}
-        for place, part in self.left.items():
-            grouped.setdefault(place.command, {})[place] = part
-        return grouped
-
     @property
     def path(self) -> float:
         """The compensated share of the path, 0 to 1."""
@@ -95,13 +88,16 @@ class Shares:
         shares = (
             f"Only {100 * self.path:.0f} % of the path and {100 * self.filament:.0f} % of the filament are compensated"
         )
-        places = max(self.by_command().values(), key=lambda each: _size(sum(each.values(), Amount())))
-        return (f"{shares}, and errors are stated for these alone: {_because(places)}",)
+        most = max(self.by_cause, key=lambda each: (each.path_mm, each.filament_mm))
+        return (f"{shares}, and errors are stated for these alone: {_because(most)}",)
 
     @property
     def by_cause(self) -> list[Uncompensated]:
-        """The uncompensated moves after each command."""
-        return [Uncompensated.of(places) for places in self.by_command().values()]
+        """The uncompensated moves after each command, in the file's order."""
+        grouped: dict[str, dict[Place, Amount]] = {}
+        for place, part in self.left.items():
+            grouped.setdefault(place.command, {})[place] = part
+        return [Uncompensated.of(places) for places in grouped.values()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,16 +116,8 @@ class Uncompensated:
     def of(cls, places: Mapping[Place, Amount]) -> Uncompensated:
         """Sum the places after one command."""
         first, whole = next(iter(places)), sum(places.values(), Amount())
-        worst = _worst(places).line
+        worst = max(places, key=lambda place: (places[place].path_mm, places[place].filament_mm)).line
         return cls(first.line, first.command, len(places), worst, whole.path_mm, whole.filament_mm, whole.seconds)
-
-
-def _size(part: Amount) -> tuple[float, float]:
-    return part.path_mm, part.filament_mm
-
-
-def _worst(places: Mapping[Place, Amount]) -> Place:
-    return max(places, key=lambda place: _size(places[place]))
 
 
 def of_moves(moves: Moves) -> Amount:
@@ -143,22 +131,22 @@ def _share(part: float, rest: float) -> float:
     return 1.0 if rest <= 0.0 else part / (part + rest)
 
 
-def _because(places: Mapping[Place, Amount]) -> str:
+def _because(left: Uncompensated) -> str:
     """Say why the moves after one command were not compensated; the line is the one that loses most."""
-    worst, filament_mm = _worst(places), sum(part.filament_mm for part in places.values())
-    others = "" if len(places) == 1 else f" ({len(places)} places, most after this one)"
-    lost = f"{filament_mm:.0f} mm of filament" if filament_mm >= 0.5 else "no filament, travels only"
-    if worst.command == BESIDE:
-        return f"from line {worst.line} on, moves lie outside the print volume{others}, {lost}."
-    if worst.command == UNSAFE:
-        return f"from line {worst.line} on, commands failed their check{others}, {lost}."
-    if not worst.line:
+    line, command = left.worst_line, left.command
+    others = "" if left.places == 1 else f" ({left.places} places, most after this one)"
+    lost = f"{left.filament_mm:.0f} mm of filament" if left.filament_mm >= 0.5 else "no filament, travels only"
+    if command == BESIDE:
+        return f"from line {line} on, moves lie outside the print volume{others}, {lost}."
+    if command == UNSAFE:
+        return f"from line {line} on, commands failed their check{others}, {lost}."
+    if not line:
         return f"the file does not say where the nozzle begins ({lost}); home, or name X, Y and Z, before it prints."
-    where = f"after {worst.command} in line {worst.line} the place of the nozzle is unknown{others}, {lost}"
-    if _MACRO.fullmatch(worst.command):
+    where = f"after {command} in line {line} the place of the nozzle is unknown{others}, {lost}"
+    if _MACRO.fullmatch(command):
         return (
             f"{where}. If it returns to where it began, declare it in the machine file: "
-            f'[macros] returns = ["{worst.command}"]; otherwise name X and Y after it in the slicer.'
+            f'[macros] returns = ["{command}"]; otherwise name X and Y after it in the slicer.'
         )
     return f"{where}; name X and Y after it."
 
@@ -199,16 +187,13 @@ def _sum(one: Any, later: Any) -> Any:
 def of_plan(planned: PlannedProgram, extent: Extent) -> Statistics:
     """Count the moves of a program, or of its written part, and their planned duration."""
     moves, plan = planned.program.moves, planned.trajectory
-    begin = _on(extent.begin, plan, 0.0)
-    first = int(np.searchsorted(plan.start_t, begin))
-    if extent.end is not None:
-        end = _on(extent.end, plan, 0.0)
-        last = int(np.searchsorted(plan.start_t, end))
-        shares = Shares(of_moves(some(moves, slice(first, last))))
-        return Statistics(moves=_lines(moves, first, last), original_print_time_s=end - begin, shares=shares)
+    begin = 0.0 if extent.begin is None else extent.begin.time_in(plan)
+    first, last = int(np.searchsorted(plan.start_t, begin)), len(moves)
     original_s, print_s = planned.firmware_s - begin, float(plan.end_t) - begin
-    shares = Shares(of_moves(some(moves, slice(first, None))))
-    count = _lines(moves, first, len(moves))
+    if extent.end is not None:
+        end = extent.end.time_in(plan)
+        last, original_s, print_s = int(np.searchsorted(plan.start_t, end)), end - begin, 0.0
+    shares, count = Shares(of_moves(some(moves, slice(first, last)))), _lines(moves, first, last)
     return Statistics(moves=count, original_print_time_s=original_s, print_time_s=print_s, shares=shares)
 
 
@@ -236,7 +221,10 @@ def of_section(
 ) -> Statistics:
     """Count a solved section, which lasts longer than it was planned."""
     begin, end = solved.knots
-    longer_s = (end - begin) * model.settings.segment_s - _counted_s(section, planned, extent)
+    longer_s = (end - begin) * model.settings.segment_s
+    if extent.end is None:  # less what its plan has counted
+        cut = extent.begin if section is planned.sections[0] else None
+        longer_s -= section.end_t - (section.begin_t if cut is None else cut.time_in(planned.trajectory))
     result = solved.solution
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > UTILISATION_TOLERANCE else ()
     return Statistics(
@@ -256,17 +244,6 @@ def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics
     left = replace(part, seconds=section.end_t - section.begin_t)
     shares = Shares(Amount(-part.path_mm, -part.filament_mm), {Place(first, UNSAFE): left})
     return Statistics(shares=shares, unsafe=(Unsafe(first, last, why),))
-
-
-def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> float:
-    if extent.end is not None:
-        return 0.0
-    first = section is planned.sections[0]
-    return section.end_t - (_on(extent.begin, planned.trajectory, section.begin_t) if first else section.begin_t)
-
-
-def _on(position: PathPosition | None, plan: Trajectory, otherwise: float) -> float:
-    return otherwise if position is None else position.time_in(plan)
 
 
 def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> Iterator[str]:

@@ -1,20 +1,45 @@
-"""Marlin: a queue of blocks of whole motor steps (`marlin_planner`), and segments chosen for it (`marlin_segments`)."""
+"""Marlin: a queue of blocks of whole motor steps (`marlin_planner`), and segments that it executes exactly.
+
+They are long enough in steps, timed by its own queue, within limits of ours. Marlin drops what has fewer steps than
+MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost;
+it cuts a delta's lines that last 10 ms and more into equal parts, and each may be too short; it slows the first
+lines after a rest (SLOWDOWN, by `M205 B`); it rounds every end to whole steps (`whole_steps`); and one step of the
+filament more or less from segment to segment is a jump of its speed, and E's jerk then slows the path.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import reduce
 from math import inf
 
-from ffcomp.firmware.base import FileLimits, Firmware, Segments
-from ffcomp.firmware.marlin_planner import MarlinPlanner, cut_moves, on_delta, planner_of
-from ffcomp.firmware.marlin_segments import MarlinSegments, raising, restoring
-from ffcomp.firmware.settings_in_force import assumed_sentence
+import numpy as np
+
+from ffcomp.firmware.base import AxisLimits, Filament, FilamentCount, FileLimits, Firmware, Inside, Segments
+from ffcomp.firmware.marlin_planner import (
+    MarlinPlanner,
+    cut_moves,
+    extruder_steps_per_mm,
+    marlin_settings,
+    on_delta,
+    planner_of,
+    settings_row,
+)
+from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
+from ffcomp.firmware.settings_in_force import assumed_sentence, row_after
+from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
-from ffcomp.planner.segment_timing import SegmentLimits
+from ffcomp.planner.lifts import STEEP
+from ffcomp.planner.segment_merging import at_most
+from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from gcode.dialect import MARLIN
 from gcode.dialects import limit_lines
-from gcode.program import Program
-from models.machine import Machine
+from gcode.program import LimitCommand, ModalState, Program
+from gcode.words import commands
+from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
+from models.machine import Machine, MarlinSettings
 
 PART_S = 300.0  # a delta's lines are cut by time: a megabyte of slow text becomes millions of pieces
 KNOWN = (2, 1, 2)  # the version whose planner this is
@@ -22,6 +47,12 @@ NEWER_JERK = (
     "The print is planned as Marlin 2.1.2 does. Later versions have another classic jerk: short programs took 16 % "
     "less to 9 % more time than planned."
 )
+WHOLE_S = 0.95  # of the time beyond which a delta's line is cut in two
+SWEEPS = 2  # of the speeds that make durations exact
+MOST_FASTER = 4.0  # the highest speed that a sweep may request, by length over time
+LEAST_E_MM = 1e-5  # that a file can state
+FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # filament in a segment; E's jerk must allow this jump of speed
+LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
 
 
 class Marlin(Firmware):
@@ -72,8 +103,218 @@ class Marlin(Firmware):
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return M201 to M205 of the machine, then the file's own."""
-        return limit_lines(MARLIN, restoring(machine, raised, file.commands), file.unit_mm)
+        s = marlin_settings(machine)
+        deviation_mm = s.junction_deviation_mm or LONGEST_DEVIATION_MM
+        own = _commands(machine, raised.raised_axes, AxisLimits.of(s), {}, deviation_mm, s.shortest_segment_s)
+        return limit_lines(MARLIN, [*own, *file.commands.values()], file.unit_mm)
 
     def segments(self, model: InverseModel) -> Segments:
         """Return segments that are long enough in steps, and timed by the queue."""
         return MarlinSegments.of(self, model)
+
+
+def raising(machine: Machine, raised: SegmentLimits, commands: Mapping[str, LimitCommand]) -> list[LimitCommand]:
+    """Return what raises the limits of the axes that may be raised; commands : the file's own in effect."""
+    s, limits = marlin_settings(machine), AxisLimits.even(raised)
+    # E's jerk, so that steps that come and go slow nothing: little enough for a retraction
+    flicker = round(FLICKER_STEPS / (FLICKER_S * extruder_steps_per_mm(machine)), 2)
+    limits = limits._replace(jerk=(*limits.jerk[:3], max(s.jerk_mm_per_s[3], flicker)))
+    return _commands(machine, raised.raised_axes, limits, commands, LONGEST_DEVIATION_MM, 0.0)
+
+
+def _commands(
+    machine: Machine,
+    axes: str,
+    limits: AxisLimits,
+    known: Mapping[str, LimitCommand],
+    deviation_mm: float,
+    shortest_s: float,
+) -> list[LimitCommand]:
+    """Return the commands that set limits of axes; those of the filament too where they are known, and so restored."""
+    settings, delta = marlin_settings(machine), on_delta(machine)
+    keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
+    in_file = {code for code in known if "E" in known[code].words}
+    filament = {code for code, key in keys.items() if key in settings.stated or code in in_file}
+    *others, jerk = limits.commands("M205", axes, axes if delta else axes.replace("Z", ""), filament)
+    words = {"J": deviation_mm} if "junction_deviation_mm" in settings.stated else dict(jerk.words)
+    if settings.slowdown and not delta:
+        words["B"] = 1e6 * shortest_s
+    return [*others, LimitCommand("M205", words)]
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinSegments(Segments):
+    """How Marlin executes our segments between the limits that the header raises."""
+
+    settings: MarlinSettings
+    row: FloatArray  # the machine's own settings (`marlin_queue`)
+    steps: WholeSteps
+
+    @classmethod
+    def of(cls, firmware: Firmware, model: InverseModel) -> MarlinSegments:
+        """Return those of a machine's inverse model."""
+        machine, raised = model.machine, model.settings.output
+        settings, row = marlin_settings(machine), settings_row(machine)
+        free = np.array([axis in raised.raised_axes for axis in "XYZ"])
+        steps = WholeSteps.of(model, row[STEPS][:3], free, settings.minimum_steps_per_segment)
+        return cls(firmware, machine, raised, model.settings.segment_s, settings, row, steps)
+
+    def count(self) -> FilamentCount:
+        """Return a count without the flow factor."""
+        return MarlinFilamentCount()
+
+    def ends(
+        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray, inside: Inside
+    ) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
+        """Choose ends at whole steps, far enough apart; where the filament turns back, a segment ends."""
+        flow, pinned = np.diff(e), pinned.copy()
+        pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0
+        pinned[[0, -1]] = True
+        kept, due, placed = self.steps.ends(at, points, kept, pinned, self.longest_s / self.knot_s)
+        within = inside(placed)
+        due, placed = np.where(within, due, at[kept]), np.where(within[:, None], placed, points[kept])
+        stays = at_most(due, placed, np.arange(len(kept)), pinned[kept], self.most_in_a_second)
+        return kept[stays], due[stays], placed[stays], pinned[kept][stays]
+
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Return the ends of the file's own lines at whole steps."""
+        return self.steps.nearest(points)
+
+    def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
+        """Leave out the ends of segments that Marlin would drop."""
+        return _executed(np.rint(self.steps.motors(points)), fixed, ends, self.settings.minimum_steps_per_segment)
+
+    def times(self, at: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return times such that no segment is cut: where one is too long, the next make up for it."""
+        aside, up = np.hypot(*np.diff(points[:, :2], axis=0).T), np.abs(np.diff(points[:, 2]))
+        most_s = np.where(STEEP * aside > up, self.longest_s, np.inf)  # parts of a lift are long enough
+        lasting = _shortened((at[1:] - at[:-1]) * self.knot_s, most_s)
+        return at[0] * self.knot_s + np.append(0.0, np.cumsum(lasting)), lasting
+
+    def speeds(
+        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
+    ) -> tuple[FloatArray, SegmentSpeeds]:
+        """Return speeds that make Marlin's queue execute each segment in its time."""
+        raised = raising(self.machine, self.raised, file.commands)
+        row = reduce(row_after, [*file.commands.values(), *raised], self.row)
+        motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
+        change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
+        straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        by_motors = not (on_delta(self.machine) or self.machine.kinematics.shares_motors)
+        mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
+        meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
+        feed = meant.copy()
+        lengths = np.full(len(mm), np.nan) if by_motors else straight
+        for sweep in range(SWEEPS + 1):
+            duration = self._durations(motors, lengths, feed, row, filament)
+            if sweep < SWEEPS:
+                feed = np.clip(feed * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
+        executed = np.where(duration > 0.0, duration, lasting)
+        played = straight / executed
+        junction = np.concatenate([[0.0], np.minimum(played[1:], played[:-1]), [0.0]])
+        return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.raised.acceleration_mm_per_s2), executed)
+
+    def _durations(
+        self, motors: FloatArray, length: FloatArray, feed: FloatArray, row: FloatArray, filament: Filament | None
+    ) -> FloatArray:
+        segments = len(feed)
+        if not segments:
+            return np.zeros(0)
+        if filament is not None:
+            motors = np.vstack([motors, motors[-1] + [0.0, 0.0, 0.0, filament.mm]])
+            length, feed = np.append(length, np.nan), np.append(feed, filament.mm_per_s)
+        n = len(feed)
+        start = np.full((n, 4), np.nan)
+        start[0] = motors[0]
+        nothing, rests = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        settings = np.broadcast_to(row.astype(np.float32), (n, len(row)))
+        targets = Targets(start, motors[1:], length, feed, nothing, nothing, rests, np.ascontiguousarray(settings))
+        blocks = plan_blocks(targets, self.settings.minimum_steps_per_segment, False)
+        return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n)[:segments].astype(np.float64)
+
+    @property
+    def longest_s(self) -> float:
+        """Return how long a segment may last that Marlin does not cut: a delta's lines it cuts in equal parts.
+
+        Where even a knot is longer, segments are cut, and any length will do.
+        """
+        whole_s = WHOLE_S * 2.0 / self.settings.segments_per_second
+        return whole_s if on_delta(self.machine) and whole_s >= self.knot_s else np.inf
+
+
+class MarlinFilamentCount(FilamentCount):
+    """How E counts within our blocks: Marlin multiplies each block's steps of filament by M221, and rounds again.
+
+    So the factor is in our numbers, and M221 is 100 % as long as a block is open.
+    """
+
+    zero_mm = 0.0  # of the filament, where our E is zero
+
+    def begin(self, frame: ModalState, e_mm: float, late_mm: float = 0.0) -> None:
+        """Continue from the file's own E."""
+        named = e_mm - late_mm
+        zero_mm = frame.base[3] if frame.flow == 1.0 else named - _file_e_mm(frame, named)
+        self.zero_mm = zero_mm + late_mm
+
+    def frame(self, frame: ModalState) -> ModalState:
+        """Return how numbers are written within a block."""
+        return replace(frame, base=(*frame.base[:3], self.zero_mm), flow=1.0)
+
+    def opening(self, frame: ModalState) -> list[bytes]:
+        """Return the lines that take the file's factor out."""
+        return [] if frame.flow == 1.0 else [b"M221 S100"]
+
+    def naming(self, frame: ModalState, e_mm: float) -> list[bytes]:
+        """Return the lines that give this position of the filament its name in the file."""
+        if frame.flow == 1.0 and abs(self.zero_mm - frame.base[3]) < LEAST_E_MM:
+            return []
+        return [b"G92 E%.5f" % (_file_e_mm(frame, e_mm) / frame.unit_mm)]
+
+    def closing(self, frame: ModalState, e_mm: float) -> list[bytes]:
+        """Return the lines that restore the file's count and factor."""
+        factor = [] if frame.flow == 1.0 else [b"M221 S%.6g" % (100.0 * frame.flow)]
+        return [*self.naming(frame, e_mm), *factor]
+
+    def set_by(self, line: bytes) -> str:
+        """Return the command of a line that changes the count, G92 or M221; empty: another."""
+        if b"92" not in line and b"221" not in line:
+            return ""
+        names = [command.name for command in commands(line, 0)[:1]]
+        return names[0] if names and names[0] in ("G92", "M221") else ""
+
+
+def _file_e_mm(frame: ModalState, e_mm: float) -> float:
+    return (e_mm - frame.base[3]) / frame.flow
+
+
+@kernel
+def _shortened(lasting: FloatArray, most: FloatArray) -> FloatArray:
+    out, lost = lasting.copy(), 0.0
+    for k in range(len(out)):
+        wanted = out[k] + lost
+        out[k] = min(wanted, most[k])
+        lost = min(wanted - out[k], most[k])  # more of it would slow what comes later for long
+    return out
+
+
+@kernel
+def _most(steps: FloatArray, a: int, b: int) -> float:
+    return max(abs(steps[b, 0] - steps[a, 0]), abs(steps[b, 1] - steps[a, 1]), abs(steps[b, 2] - steps[a, 2]))
+
+
+@kernel
+def _executed(steps: FloatArray, edges: BoolArray, ends: BoolArray, minimum: int) -> IntArray:
+    n = len(steps)
+    kept = np.empty(n, dtype=np.int64)
+    kept[0] = 0
+    count = 1
+    for k in range(1, n):
+        while count > 1 and _most(steps, kept[count - 1], k) < minimum:
+            last = kept[count - 1]
+            if not (edges[k] or ends[k]) or ends[last] or (edges[last] and not ends[k]):
+                break
+            count -= 1
+        if ends[k] or _most(steps, kept[count - 1], k) >= minimum:
+            kept[count] = k
+            count += 1
+    return kept[:count].copy()

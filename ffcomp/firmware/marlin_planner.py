@@ -110,6 +110,8 @@ class MarlinPlanner:
         first = np.append(0, last[:-1] + 1)
         jumps = np.append(True, np.any(moves.start[1:] != moves.end[:-1], axis=1))[first]
         shift = self._filament_shift(moves)
+        # a delta sums the pieces of a line in single precision
+        reached = _summed(moves.line, moves.start, moves.end) if on_delta(self.machine) else moves.end
         start = np.full((len(first), 4), np.nan)
         start[jumps] = self._motors(moves.start[first[jumps]], shift[first[jumps]])
         begun = np.concatenate([[0], np.cumsum(rests)])
@@ -117,7 +119,7 @@ class MarlinPlanner:
         length = np.where((chords.length == 0.0) | by_motors, np.nan, chords.length)
         targets = Targets(
             start,
-            self._motors(self._reached(moves)[last], shift[last]),
+            self._motors(reached[last], shift[last]),
             length,
             moves.speed[last],
             chords.radius,
@@ -128,10 +130,6 @@ class MarlinPlanner:
         s = self.settings
         slowdown = s.slowdown and not on_delta(self.machine) and not self.within
         return plan_blocks(targets, s.minimum_steps_per_segment, slowdown), last
-
-    def _reached(self, moves: Moves) -> FloatArray:
-        """Where each move ends, (n, 4) mm: a delta sums the pieces of a line in single precision."""
-        return _summed(moves.line, moves.start, moves.end) if on_delta(self.machine) else moves.end
 
     def _filament_shift(self, moves: Moves) -> FloatArray:
         """Return by how much Marlin's filament is off the moves', (n,) mm: after G92 E it counts on from a step."""
@@ -407,15 +405,11 @@ def _chords(moves: Moves) -> _Chords:
 
 def _joints(mm: FloatArray, change: FloatArray) -> tuple[FloatArray, float]:
     """Return where Marlin's chords of an arc end (plan_arc of G2_G3.cpp), (k,) mm along it, and its radius, mm."""
-    total, turn = float(mm.sum()), _turn(mm, change)
+    total = float(mm.sum())
+    # by how much it turns: the angles between its chords, and half of those that its ends lean by
+    cosine = np.sum(change[1:] * change[:-1], axis=1) / (mm[1:] * mm[:-1])
+    turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum()) / (1.0 - 0.5 * float(mm[0] + mm[-1]) / total)
     shortest, longest = CHORD_MM
     chord = total * 2.0 * np.pi / (TURN_CHORDS * turn) if turn > 0.0 else total
     count = int(np.ceil(total / longest)) if chord > longest else int(total / max(chord, shortest) + WHOLE_CHORD)
     return total * np.arange(1, max(count, 1) + 1) / max(count, 1), total / max(turn, 1e-9)
-
-
-def _turn(mm: FloatArray, change: FloatArray) -> float:
-    """Return by how much an arc turns, rad: the angles between its chords, and half of those that its ends lean by."""
-    cosine = np.sum(change[1:] * change[:-1], axis=1) / (mm[1:] * mm[:-1])
-    between = float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum())
-    return between / (1.0 - 0.5 * float(mm[0] + mm[-1]) / float(mm.sum()))

@@ -14,7 +14,7 @@ become 280.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -45,8 +45,7 @@ _START, _END, _MM, _EVENTS, _RATE, _FIRST, _LAST, _ACCEL, _UP, _DOWN, _V, _ENTRY
 _WIDTH = 22
 
 
-@dataclass(frozen=True, slots=True)
-class Targets:
+class Targets(NamedTuple):
     """n targets as Marlin's motion queue gets them, each with the settings in force."""
 
     start: FloatArray  # (n, 4) mm of the motors, after G92; NaN: where the last one ended
@@ -102,8 +101,7 @@ def plan_blocks(targets: Targets, minimum_steps: int, slowdown: bool) -> Blocks:
     minimum_steps : moves with fewer steps of every motor are joined to the next
     slowdown : moves are stretched while the queue fills
     """
-    columns = (getattr(targets, each.name) for each in fields(targets))
-    table, target, count = _blocks(*columns, minimum_steps, slowdown)
+    table, target, count = _blocks(targets, minimum_steps, slowdown)
     return Blocks(target[:count], table[:count, :4], table[:count, 4:8], *table[:count, _MM : _DOWN + 1].T)
 
 
@@ -119,18 +117,8 @@ def phases_of(b: Blocks) -> BlockPhases:
 
 
 @kernel
-def _blocks(
-    start: FloatArray,
-    end: FloatArray,
-    length: FloatArray,
-    speed: FloatArray,
-    radius: FloatArray,
-    arc_left: FloatArray,
-    rests: BoolArray,
-    settings: Singles,
-    minimum_steps: int,
-    slowdown: bool,
-) -> tuple[FloatArray, IntArray, int]:
+def _blocks(targets: Targets, minimum_steps: int, slowdown: bool) -> tuple[FloatArray, IntArray, int]:
+    start, end, length, speed, radius, arc_left, rests, settings = targets
     table, target = np.zeros((len(end), _WIDTH)), np.zeros(len(end), np.int64)
     place = np.zeros(4)
     # of this block and the one before it: mm of each motor per mm (of the line), mm/s of each, nominal and safe speed

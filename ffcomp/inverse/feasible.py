@@ -11,15 +11,8 @@ import numpy as np
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.command_limits import ACCELERATION, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import (
-    WHOLE,
-    Extent,
-    Reference,
-    WrittenReference,
-    context_s,
-    rooms_of,
-)
-from ffcomp.inverse.solve import Solution, solve
+from ffcomp.inverse.reference import WHOLE, Extent, Reference, WrittenReference, context_s, rooms_of
+from ffcomp.inverse.solve import Solution
 from ffcomp.inverse.time_scaling import (
     PlannedSection,
     Replanner,
@@ -27,6 +20,7 @@ from ffcomp.inverse.time_scaling import (
     TimeScaling,
     after_events,
     late_segments,
+    solved,
 )
 from ffcomp.planner.lifts import FLOWS_MM
 from ffcomp.planner.limits import lines_of
@@ -82,7 +76,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
         if (found := _within_limits(model, request, written, gentle)) is not None:
             return found
     written = request.written
-    solution = _free(model, request, written)
+    solution = solved(model, request, written, enforce_limits=False)
     scaled = ScaledSection(model, request)
     written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
@@ -128,7 +122,7 @@ def _within_limits(
     events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
     rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
     for left in reversed(range(rounds + 1)):
-        solution = _free(model, request, written)
+        solution = solved(model, request, written, enforce_limits=False)
         beyond = _beyond(model, written, solution, gentle, events)
         if not beyond[written.first : written.last].any():
             return SolvedSection(request.trajectory, request.section, written, solution)
@@ -159,17 +153,8 @@ def _beyond(
     return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices, events))
 
 
-def _free(model: InverseModel, request: PlannedSection, written: WrittenReference) -> Solution:
-    """Solve a section without limits."""
-    keep = request.keep_response
-    return solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
-
-
 def scale_around_cut(
-    model: InverseModel,
-    program: Program,
-    cut: PathPosition,
-    replanner: Replanner,
+    model: InverseModel, program: Program, cut: PathPosition, replanner: Replanner
 ) -> tuple[Moves, tuple[TimeScaling, ...]]:
     """Scale the moves around a cut in motion, once for the chunks on both sides.
 

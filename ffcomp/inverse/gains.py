@@ -227,15 +227,13 @@ class PreviewGains:
             if slot.min(initial=0) < 0:
                 missing = np.unique(node[slot < 0])
                 for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)):
-                    self._work_out(some)
+                    p = self.segment_plant(some)
+                    problem = p.problem(self.control_weight)
+                    feedback, curvature = problem.feedback(problem.stationary_value())
+                    preview = p.preview(curvature, self.control_weight)
+                    self._add(some, _packed(p, feedback, preview, self.control_weight))
                 slot = self._slot[node]
             return slot, self._steady
-
-    def _work_out(self, node: IntArray) -> None:
-        p = self.segment_plant(node)
-        problem = p.problem(self.control_weight)
-        feedback, curvature = problem.feedback(problem.stationary_value())
-        self._add(node, _packed(p, feedback, p.preview(curvature, self.control_weight), self.control_weight))
 
     def segment_plant(self, node: IntArray) -> SegmentPlant:
         """Return the problem that is solved at nodes (g,) of the grid."""

@@ -251,22 +251,17 @@ class InverseModel:
         row_s = s.segment_s / s.rows_per_segment
         return Sensitivity(self.machine, row_s, s.inverse_hz, self.control_weight, sampled=False)
 
-    @cached_property
-    def _wants_offsets(self) -> bool:
-        certain = not np.any(self.machine.vibration.parameters().relative_sd(self.machine.uncertainty))
-        return self.settings.robust and not certain
-
     def robust_offsets(self, references: Sequence[Reference]) -> list[FloatArray]:
         """Return each robust reference's offset from its path, (rows, 3) mm; empty where it is not used."""
-        if not self._wants_offsets:
+        s, machine = self.settings, self.machine
+        if not s.robust or not np.any(machine.vibration.parameters().relative_sd(machine.uncertainty)):
             return [np.empty((0, 3))] * len(references)
-        return self._robust.offsets([self._path(reference) for reference in references])
-
-    def _path(self, reference: Reference) -> Path:
-        s = self.settings
-        rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
-        t = reference.t0 + rows * s.segment_s / s.rows_per_segment
-        return Path(reference.nozzle(t), reference.moving(t))
+        paths = []
+        for reference in references:
+            rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
+            t = reference.t0 + rows * s.segment_s / s.rows_per_segment
+            paths.append(Path(reference.nozzle(t), reference.moving(t)))
+        return self._robust.offsets(paths)
 
     def state_after_rest(self, state: FloatArray, nozzle: FloatArray, duration_s: float) -> FloatArray:
         """Return the state after the command has rested at (3,) mm for a while: what still rings, rings on."""

@@ -40,7 +40,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse import solve as fast
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.gains import REST_ROWS
@@ -208,8 +208,11 @@ def correct_sections(model: InverseModel, machine: Machine, sections: Sequence[S
         if (now := _promised(rounds)) > STALL_RATIO * before:
             break
         before = now
-        for each in rounds:
-            _step(each, share)
+        for each in rounds:  # the command that is simulated next
+            executed = each.iterate.gamma.copy()
+            gamma = executed - each.feedforward
+            each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.iterate, gamma, each.error))]
+            _change(each, executed, mixed(each.tried, share) - gamma)
     reached = np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.iterate.last for each in rounds]))
     if _promised(rounds) < STALL_RATIO * float(reached):
         for each in rounds:
@@ -300,14 +303,6 @@ def _put_together(each: _Round, local: FloatArray) -> None:
     taken = around(better.astype(np.float64), BLENDED_KNOTS)[:, None]  # smoothed, so that the command does not jump
     each.gamma = taken * each.iterate.gamma + (1.0 - taken) * each.gamma
     each.local = np.where(better, local, each.local)
-
-
-def _step(each: _Round, share: float) -> None:
-    """Set the command that is simulated next."""
-    executed = each.iterate.gamma.copy()
-    gamma = executed - each.feedforward
-    each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.iterate, gamma, each.error))]
-    _change(each, executed, mixed(each.tried, share) - gamma)
 
 
 def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:

@@ -167,7 +167,8 @@ class Reference:
         nearest = goes[np.minimum(np.searchsorted(goes, np.arange(self.knots)), len(goes) - 1)]
         by_way = planned[nearest] / by_plan[nearest] * way
         weight, change = _near(around, FLOW_KNOTS) * fed, np.zeros(self.knots)
-        knots = sorted({rounded for t in fixed for rounded in _knots_around(self.knot_of(t))})
+        at = [self.knot_of(t) for t in fixed]  # the knots before and after each; both the same where it is at one
+        knots = sorted({math.floor(k + ROUNDING) for k in at} | {math.ceil(k - ROUNDING) for k in at})
         for part in _stretches(weight > 0.0, knots):
             by_way_mm = float(weight[part] @ by_way[part])
             if by_way_mm > 0.0:
@@ -221,11 +222,6 @@ def _near(segments: NDArray[np.bool_], knots: int) -> FloatArray:
     return np.convolve(padded, window / window.sum(), mode="valid")
 
 
-def _knots_around(at: float) -> tuple[int, int]:
-    """Return the knots before and after a place in knots; both the same where it is at one."""
-    return math.floor(at + ROUNDING), math.ceil(at - ROUNDING)
-
-
 def _stretches(marked: NDArray[np.bool_], cuts: list[int]) -> Iterator[slice]:
     """Yield the ranges of marked segments, split at the cuts; cuts : rising knots."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
@@ -266,6 +262,11 @@ class Extent(NamedTuple):
         first = 0 if begin_t is None else round(reference.knot_of(begin_t))
         last = reference.knots if end_t is None else round(reference.knot_of(end_t))
         return WrittenReference(reference, first, last)
+
+    def written_s(self, plan: Trajectory, begin_t: float) -> float:
+        """Return the duration of the written part, s, as far as it ends in motion; begin_t : of the first knot, s."""
+        begin, end = self
+        return (plan.end_t if end is None else end.time_in(plan)) - (begin_t if begin is None else begin.time_in(plan))
 
     def near(self, plan: Trajectory, within_s: float) -> list[slice]:
         """Find the moves that are executed within a time of the cuts."""

@@ -43,14 +43,9 @@ class EffortCurve:
     peak_mm_per_s2: FloatArray  # (k,) of the carriages' command, over places
 
     @property
-    def knee(self) -> int:
-        """The index of the knee."""
-        return int(np.argmin(self.error_um * self.peak_mm_per_s2**1.5))
-
-    @property
     def knee_hz(self) -> float:
         """The bandwidth at the knee, Hz."""
-        return float(self.bandwidth_hz[self.knee])
+        return self.knee_above(0.0)
 
     def knee_above(self, floor_um: float) -> float:
         """Return the bandwidth at the knee where so much more is left anyway, Hz."""

@@ -1,4 +1,9 @@
-"""Solve one section: the command whose response, by the linear model, is the reference.
+"""The inverse of one section: the command whose response, by the linear model, is the reference.
+
+A section is solved in stretches. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are
+executed through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept
+backwards and forwards once, with the gains of `gains.py`; and again. The gains are those of the nearest node of the
+grid, the plant is the one at the very position: what the first sweep misses for that, the second one finds.
 
 The inverse itself knows no limits. A command that exceeds one is replaced by the nearest that does not, and simulated.
 """
@@ -9,14 +14,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ffcomp.inverse import lq_preview
 from ffcomp.inverse.command_limits import peak_utilisation
+from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from ffcomp.inverse.model import CONTEXT, InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.nearest import nearest_within_limits
 from ffcomp.inverse.reference import Reference
 from models.arrays import BoolArray, FloatArray
+from models.compiled import kernel
 
+STRETCH = 512  # knots solved at a time
+MOST_PASSES = 5
+CONVERGENCE_MM = 5e-3  # after so small a change, the next is a tenth of it
+PREVIEW_KNOTS = 32  # knots of preview: later errors affect the command by a hundred-thousandth
 AT_A_TIME = 512  # knots played
 MOVED_MM = 1e-6  # farther is changed
 AFFECTED = 32  # knots after a change whose errors are its own
@@ -62,7 +73,13 @@ def solve(
     enforce_limits : False leaves a command above a limit unchanged
     """
     iterate, begin, limited = Iterate(model, reference), state, tuple[LimitedWindow, ...]()
-    response, state, windows = lq_preview.solve(iterate, begin, keep_response)
+    responses, at, windows = [np.empty((0, 3))], 0, 0
+    while at < iterate.last:
+        stop = at + STRETCH if iterate.last - at > STRETCH + PREVIEW_KNOTS else iterate.last
+        part, state = _solve_stretch(Sweep(iterate, at, stop), state, keep_response)
+        responses.append(part)
+        at, windows = stop, windows + 1
+    response = np.concatenate(responses)
     utilisation = peak_utilisation(iterate.vertices, model.limits)
     if enforce_limits and utilisation > 1.0:
         moved = _limit(iterate)
@@ -110,3 +127,111 @@ def _play(iterate: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, 
         errors.append(np.sqrt((error**2).sum(axis=1)).reshape(kept, -1).max(axis=1))
         state = states[kept]
     return np.concatenate(responses), np.concatenate(errors), state
+
+
+class Sweep:
+    """The preview sweep over the knots at+1 … stop of a section, with the knots in sight after them."""
+
+    def __init__(self, iterate: Iterate, at: int, stop: int) -> None:
+        self.iterate, self.at, self.stop = iterate, at, stop
+        whole = stop == iterate.last
+        self.window = KnotWindow(iterate, at, stop + (REST_ROWS if whole else PREVIEW_KNOTS))
+        gains = iterate.model.gains
+        self._node, self._steady = gains.at(self.window.place)
+        self._ending = _to_rest(gains, self._node, len(self._steady.backward)) if whole else no_gains(gains.size)
+
+    def answer(self, residual: FloatArray, gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the change of the command that answers a residual.
+
+        Parameters
+        ----------
+        residual : (rows, 3) mm, the reference less the nozzle at the rows of the window's segments
+        gamma : (n + 1, 3) mm, the section's coefficients that leave it
+
+        Returns
+        -------
+        the change of γ (knots, 3) mm from the knot at+1 on; the plant's response to it, (18,), at the knot `stop`
+        """
+        window, kept = self.window, self.stop - self.at
+        before = gamma[window.at - 1 : window.at] if window.at else np.zeros((1, 3))
+        rows = residual.reshape(window.end - window.at, -1)
+        known = np.concatenate([before, gamma[window.at : window.end + 1]])
+        psi = sweep_back(self._steady.backward, self._ending.backward, self._node, rows, known)
+        change, state = sweep_forward(self._steady.forward, self._ending.forward, self._node, psi, kept)
+        return change, state[: self.iterate.model.plant.table.plant.a.shape[1]]
+
+
+def answer(iterate: Iterate, gamma: FloatArray, residual: FloatArray) -> FloatArray:
+    """Return the change (n + 1, 3) mm of a whole section's coefficients (n + 1, 3) mm that answers a residual.
+
+    residual : (rows, 3) mm, of the section and `REST_ROWS` knots after it
+    """
+    change, out = Sweep(iterate, 0, iterate.last).answer(np.ascontiguousarray(residual), gamma)[0], np.zeros_like(gamma)
+    out[1 : len(change) + 1] = change
+    return out
+
+
+def _solve_stretch(sweep: Sweep, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
+    """Find the coefficients of a stretch from the plant's state (18,); return the response and the state at its end."""
+    iterate, window, kept = sweep.iterate, sweep.window, sweep.stop - sweep.at
+    _begin(sweep)
+    gamma = iterate.gamma[window.at + 1 : window.end + 1]
+    for _ in range(MOST_PASSES):
+        error, states = window.error_from(state)
+        change, answer = sweep.answer(error, iterate.gamma)
+        gamma += change
+        if float(np.abs(change[:kept]).max()) < CONVERGENCE_MM:
+            break
+    iterate.vertices[sweep.at : sweep.stop + 1] = window.vertices()[: kept + 1]
+    after = states[kept] + answer  # the same with and without a response: not a digit may depend on a prediction
+    if keep_response:
+        return window.respond(state)[0][: kept * iterate.model.settings.substeps], after
+    return np.empty((0, 3)), after
+
+
+def _begin(sweep: Sweep) -> None:
+    """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*, where none are known yet."""
+    iterate, window = sweep.iterate, sweep.window
+    last = min(window.end, iterate.last - 1)
+    n = last - sweep.at
+    if n > 0:
+        s = iterate.model.settings
+        knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
+        ahead = window.nozzle[knots] + window.velocity[knots] * iterate.model.delay_s
+        edges = iterate.reference.at_knots(np.array([sweep.at - 1, window.end + 1, window.end + 2]))
+        q_edges, q_ahead = iterate.model.kinematics.inverse(edges), iterate.model.kinematics.inverse(ahead)
+        compliance = iterate.model.compliance_at(window.nozzle[knots, :2])
+        gamma = iterate.gamma[sweep.at + 1 : last + 1]
+        _slow_motion(q_edges, window.reference_q, q_ahead, compliance, 2 * s.segment_s, gamma)
+
+
+@kernel
+def _slow_motion(
+    edges: FloatArray, q: FloatArray, ahead: FloatArray, compliance: FloatArray, two_knots_s: float, gamma: FloatArray
+) -> None:
+    """Write γ (n, 3) mm of a slow motion, in place; q̈ is taken over two knots, for less noise.
+
+    edges : (3, 3) mm, actuators a knot before q and one and two after its last;  q : (m, 3) mm, of the window
+    ahead : (n, 3) mm, actuators one delay later;  compliance : (n, 3, 3) s²
+    """
+    m = len(q)
+    bend = np.empty(3)
+    for k in range(len(gamma)):
+        for i in range(3):
+            before = edges[0, i] if k == 0 else q[k - 1, i]
+            after = q[k + 3, i] if k + 3 < m else edges[k + 4 - m, i]
+            bend[i] = (after - 2 * q[k + 1, i] + before) / two_knots_s**2
+        for i in range(3):
+            bent = 0.0
+            for j in range(3):
+                bent += compliance[k, i, j] * bend[j]
+            gamma[k, i] = ahead[k, i] - q[k + 1, i] + bent
+
+
+def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
+    """Return the gains before the section's end, to which `node` (n,) then points, counted after the steady ones."""
+    affected = TO_THE_END + REST_ROWS
+    n = min(affected, len(node))
+    ending = gains.end(int(node[-1]))
+    node[len(node) - n :] = steady + np.arange(affected - n, affected)
+    return ending

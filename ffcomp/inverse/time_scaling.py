@@ -26,31 +26,24 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
-from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import (
-    SLOWEST_RAMPS,
-    WHOLE,
-    Extent,
-    Reference,
-    WrittenReference,
-    context_s,
+from ffcomp.inverse.command_limits import (
+    ACCELERATION,
+    NAMES,
+    TOLERANCE,
+    TRAVEL,
+    VELOCITY,
+    CommandLimits,
+    utilisation_from_rest,
 )
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, WrittenReference, context_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
-from ffcomp.inverse.violations import (
-    SLOWEST,
-    SOLVER_ACCURACY,
-    TIMING,
-    Violation,
-    path_violations,
-    solution_violations,
-    timing_violations,
-)
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
@@ -70,6 +63,72 @@ LATE_MM = 1e-3  # how far a segment may fall behind
 LATE_TRAVEL_MM = 0.2  # and how far in XY where no filament flows, on a machine that joins lifts: slower ones cost more
 KNOT = 1e-6  # of a segment: nearer is at a knot
 STEADY = 0.02  # relative variation of a speed that counts as constant
+
+
+TARGET_UTILISATION = 0.98  # of a limit, that a slowed move aims at
+GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
+BINDING_UTILISATION = 0.85  # utilisation of a command above which its path is slowed
+COMMAND_REACH_KNOTS = 10  # knots between what a path demands and what its command demands because of it
+TIMING = len(NAMES)  # the kind of violation that is none of the carriages' limits
+SOLVER_ACCURACY = 1e-3  # over a limit
+LATE_FACTOR = 0.8  # of one round, where segments cannot be executed in their time
+
+
+class Violation(NamedTuple):
+    """Segments of a command where the machine cannot follow within its limits."""
+
+    first: int
+    last: int
+    limit: int  # index into NAMES, or TIMING
+    carriage: int
+    utilisation: float  # demand over the limit
+    factor: float  # of acceleration or velocity, to bring it below
+
+    @classmethod
+    def of(cls, utilisation: FloatArray, first: int, last: int) -> Violation:
+        """Return the worst of some segments, whose utilisation is (n, 3, 3) by limit and carriage."""
+        _, limit, carriage = np.unravel_index(utilisation.argmax(), utilisation.shape)
+        worst = float(utilisation.max())
+        factor = float(np.clip(TARGET_UTILISATION / worst, SLOWEST, GENTLEST))
+        return cls(first, last, int(limit), int(carriage), worst, factor)
+
+
+def path_violations(path: FloatArray, command: FloatArray) -> Iterator[Violation]:
+    """Yield where the path demands more than a limit, and its command as well; utilisations (n, 3, 3) of both."""
+    over = widened(np.any(command > BINDING_UTILISATION, axis=(1, 2)), COMMAND_REACH_KNOTS)
+    for limit in (VELOCITY, ACCELERATION, TRAVEL):
+        beyond = 1.0 if limit == TRAVEL else TOLERANCE
+        for first, last in _ranges(over & (path[:, limit] > beyond).any(axis=1)):
+            found = Violation.of(path[first : last + 1, limit : limit + 1], first, last)
+            yield found._replace(limit=limit, factor=np.nan if limit == TRAVEL else found.factor)
+
+
+def solution_violations(
+    solution: Solution, free: FloatArray, tolerance_mm: float, limits: CommandLimits
+) -> Iterator[Violation]:
+    """Yield where limits are kept at the cost of the path, or not kept.
+
+    free : (n, 3, 3), the utilisation by the command without limits
+    """
+    left = utilisation_from_rest(solution.vertices, limits)[1:-1]
+    for window in solution.limited:
+        inside = slice(window.first, window.last + 1)
+        if not window.error_mm <= tolerance_mm or (left[inside] > 1.0 + SOLVER_ACCURACY).any():
+            demand = np.maximum(free[inside], left[inside])
+            for first, last in _ranges(widened(np.any(demand > 1.0, axis=(1, 2)), 2)):
+                yield Violation.of(demand[first : last + 1], window.first + first, window.first + last)
+
+
+def widened(marked: BoolArray, by: int) -> BoolArray:
+    """Mark the neighbours of marked segments too."""
+    return np.asarray(np.convolve(marked, np.ones(2 * by + 1))[by : by + len(marked)] > 0.5)
+
+
+def _ranges(marked: BoolArray) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last of each range of marked segments."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    for first, after in edges.reshape(-1, 2):
+        yield int(first), int(after) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +179,14 @@ class PlannedSection:
     keep_response: bool = False
 
 
+def solved(
+    model: InverseModel, request: PlannedSection, written: WrittenReference, enforce_limits: bool = True
+) -> Solution:
+    """Solve a section on its knots."""
+    keep = request.keep_response
+    return solve(model, written.reference, request.state, keep_response=keep, enforce_limits=enforce_limits)
+
+
 class ScaledSection:
     """The moves of one section, while they become slower."""
 
@@ -131,14 +198,10 @@ class ScaledSection:
         self.moves = some(self.program.moves, slice(first, last))
         self._after_events = after_events(self.program, first, last) - first
         self._plan_again()
-        self._fixed = self._near_cuts() if fixed is None else fixed
-
-    def _near_cuts(self) -> BoolArray:
-        near = np.zeros(len(self.moves), dtype=np.bool_)
-        if self.extent != WHOLE:
+        self._fixed = np.zeros(len(self.moves), dtype=np.bool_) if fixed is None else fixed
+        if fixed is None and self.extent != WHOLE:
             for part in self.extent.near(self.plan, context_s(self.moves, self.plan) / SLOWEST_RAMPS):
-                near[part] = True
-        return near
+                self._fixed[part] = True
 
     def _plan_again(self) -> None:
         self.plan = self.request.replanner.plan(self.moves, self.request.section.begin_t)
@@ -152,7 +215,7 @@ class ScaledSection:
             if not self._fit():
                 self.moves, self.plan, self.reasons = moves, plan, {}
             written, solution, violations = self._attempt(tolerance_mm, self._free())
-            solution = self._solve(written) if violations else solution
+            solution = solved(self.model, self.request, written) if violations else solution
         return written, solution
 
     def scale(self, tolerance_mm: float, first: Command | None = None) -> tuple[WrittenReference, Solution]:
@@ -164,13 +227,12 @@ class ScaledSection:
                 return written, solution
             self._refuse_travel(written.reference, violations)
             reach = max(number - LOCAL_ROUNDS, 0)
-            if not self._slow(
-                written.reference, violations, reach
-            ):  # the rest is near a cut: constrained, off the path
-                return written, self._solve(written)  # a warning will say where a limit is still exceeded
+            if not self._slow(written.reference, violations, reach):
+                # the rest is near a cut: constrained, off the path; a warning states where a limit is still exceeded
+                return written, solved(self.model, self.request, written)
             self._plan_again()
         written, _, violations = self._attempt(tolerance_mm, self._free())
-        solution = self._solve(written)
+        solution = solved(self.model, self.request, written)
         if self.extent == WHOLE and solution.utilisation > 1.0 + SOLVER_ACCURACY:
             line = self._line_of(written.reference, violations[0])
             raise LimitsError(
@@ -178,41 +240,21 @@ class ScaledSection:
             )
         return written, solution
 
-    def _solve(self, written: WrittenReference, enforce_limits: bool = True) -> Solution:
-        return solve(
-            self.model,
-            written.reference,
-            self.request.state,
-            keep_response=self.request.keep_response,
-            enforce_limits=enforce_limits,
-        )
-
     def _fit(self) -> bool:
         """Make the written part a whole number of segments by moves that are not near a cut; say whether they can."""
-        from scipy.optimize import brentq
+        settings, moves, plan = self.model.settings, self.moves, self.plan
 
-        moves, plan = self.moves, self.plan
-        segment_s = self.model.settings.segment_s
-        whole_s = segment_s * float(np.ceil(self._written_s() / segment_s - KNOT))
-
-        def longer_s(factor: float) -> float:
+        def written_s(factor: float) -> float:
             self.moves, self.plan = moves, plan
             by = np.where(self._fixed, 1.0, factor)
             self.moves = self._slower(by, by**2)
             self._plan_again()
-            return self._written_s() - whole_s
+            return self.extent.written_s(self.plan, self.section.begin_t - settings.lead_s)
 
-        if longer_s(SLOWEST) < 0.0:
-            return False
-        if longer_s(1.0) < 0.0:
-            longer_s(float(brentq(longer_s, SLOWEST, 1.0, xtol=1e-15, rtol=1e-14)))
-        return True
-
-    def _written_s(self) -> float:
-        """Return the duration of the written part, s, as far as it ends in motion."""
-        plan, (begin, end) = self.plan, self.extent
-        first_t = self.section.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
-        return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
+        factor = whole_segments(written_s, settings.segment_s, SLOWEST)
+        if factor is not None:
+            written_s(factor)
+        return factor is not None
 
     def _free(self) -> Command:
         """Solve on the plan as it stands, without limits."""
@@ -222,7 +264,7 @@ class ScaledSection:
         written.reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
             written.reference.calm(self._slower_segments(written.reference))
-        return written, self._solve(written, enforce_limits=False)
+        return written, solved(self.model, self.request, written, enforce_limits=False)
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
@@ -235,19 +277,21 @@ class ScaledSection:
     def _attempt(self, tolerance_mm: float, command: Command) -> tuple[WrittenReference, Solution, list[Violation]]:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
         model, (written, solution) = self.model, command
-        utilisation = utilisation_from_rest(solution.vertices, model.limits)[1:-1]
-        violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
+        asked = utilisation_from_rest(solution.vertices, model.limits)
+
+        def among(violations: Iterable[Violation]) -> list[Violation]:
+            return [each for each in violations if each.last >= written.first and each.first < written.last]
+
+        violations = among(path_violations(self._path_utilisation(written.reference), asked[1:-1]))
         if violations:
             return written, solution, violations
-        if not peak_utilisation(model, written, solution) <= 1.0:  # nor where it is not a number
-            solution = self._solve(written)
-            violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        late = late_segments(model, written, solution.vertices, self._event_times)
-        return written, solution, violations + _among(timing_violations(late), written)
-
-    @property
-    def _event_times(self) -> FloatArray:
-        return self.plan.start_t[self._after_events]
+        whole = (written.first, written.last) == (0, written.reference.knots)
+        if not (asked if whole else asked[1:-1][written.first : written.last]).max() <= 1.0:  # nor if not a number
+            solution = solved(self.model, self.request, written)
+            violations = among(solution_violations(solution, asked[1:-1], tolerance_mm, model.limits))
+        late = late_segments(model, written, solution.vertices, self.plan.start_t[self._after_events])
+        timing = (Violation(*ends, TIMING, 0, 1.0, LATE_FACTOR) for ends in _ranges(widened(late, 1)))
+        return written, solution, violations + among(timing)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
         """Return the path's own utilisation (n, 3, 3), the largest for any phase of the knots.
@@ -300,8 +344,10 @@ class ScaledSection:
         by_speed, by_acceleration = np.ones(len(self.moves)), np.ones(len(self.moves))
         for violation in violations:
             touched = self._touched(reference, violation, reach)
-            if violation.limit == TIMING:
-                touched = self._with_separate_limits(touched)
+            if violation.limit == TIMING:  # no G-code file can raise the acceleration of a lift or a retraction
+                direction = self.plan.direction[touched]
+                separate = (direction[:, 2] != 0.0) | (direction[:, 3] < 0.0)
+                touched = touched[separate] if separate.any() else touched
             touched = touched[~self._fixed[touched]]
             for move in touched:
                 self.reasons.setdefault(int(move), violation)
@@ -314,32 +360,22 @@ class ScaledSection:
         self.moves = self._slower(by_speed, by_acceleration)
         return bool((np.minimum(by_speed, by_acceleration) < 1.0).any())
 
-    def _with_separate_limits(self, moves: IntArray) -> IntArray:
-        """Return the moves that lift the nozzle or retract: no G-code file can raise their acceleration."""
-        direction = self.plan.direction[moves]
-        separate = (direction[:, 2] != 0.0) | (direction[:, 3] < 0.0)
-        return moves[separate] if separate.any() else moves
-
     def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray) -> Moves:
         """Scale the moves' top speeds by one factor (n,), acceleration and corners by another."""
         moves, limits = self.moves, self.request.replanner.limits
         bounds = bounds_of(moves, lines_of(moves), limits)
         set_corner = moves.square_corner_velocity
         corner = np.where(np.isnan(set_corner), limits.square_corner_velocity_mm_per_s, set_corner)
-        top = self._top_speeds() * by_speed
+        plan = self.plan  # its moves are fastest in the middle of their cruising
+        within = np.nextafter(plan.start_t + plan.duration, -np.inf)
+        velocity = plan.velocity(np.minimum(plan.start_t + plan.accel_t + 0.5 * plan.cruise_t, within))[:, :3]
+        top = np.asarray(np.sqrt((velocity**2).sum(axis=1))) * by_speed
         return replace(
             moves,
             speed=np.where(by_speed < 1.0, np.minimum(moves.speed, top), moves.speed),
             acceleration=np.where(by_acceleration < 1.0, bounds.acceleration * by_acceleration, moves.acceleration),
             square_corner_velocity=np.where(by_acceleration < 1.0, corner * by_acceleration, set_corner),
         )
-
-    def _top_speeds(self) -> FloatArray:
-        """Return the highest speed of each move in the plan, (n,) mm/s: in the middle of its cruising."""
-        plan = self.plan
-        at = plan.start_t + plan.accel_t + 0.5 * plan.cruise_t
-        within = np.nextafter(plan.start_t + plan.duration, -np.inf)
-        return np.asarray(np.sqrt((plan.velocity(np.minimum(at, within))[:, :3] ** 2).sum(axis=1)))
 
     def _steady(self, reference: Reference, violation: Violation) -> bool:
         """Return whether the nozzle keeps its speed throughout: then it is speed that demands acceleration."""
@@ -367,24 +403,27 @@ class ScaledSection:
             )
 
 
+def whole_segments(written_s: Callable[[float], float], segment_s: float, least: float) -> float | None:
+    """Return the share of their speed that moves keep for a whole number of segments; None: too little.
+
+    written_s : returns the duration of the written part, s, at a share;  least : share
+    """
+    from scipy.optimize import brentq
+
+    now_s = written_s(1.0)
+    whole_s = segment_s * float(np.ceil(now_s / segment_s - KNOT))
+    if written_s(least) < whole_s:
+        return None
+    if now_s >= whole_s:
+        return 1.0
+    return float(brentq(lambda share: written_s(share) - whole_s, least, 1.0, xtol=1e-15, rtol=1e-14))
+
+
 def after_events(program: Program, first: int, last: int) -> IntArray:
     """Return the moves between two of a program before which a line of the file stands, (k,)."""
     events, key = program.events, attrgetter("move")
     inside = events[bisect_left(events, first + 1, key=key) : bisect_left(events, last, key=key)]
     return np.unique(np.array([event.move for event in inside], dtype=np.int64))
-
-
-def _among(violations: Iterator[Violation], written: WrittenReference) -> list[Violation]:
-    """Return those that touch the written part."""
-    return [each for each in violations if each.last >= written.first and each.first < written.last]
-
-
-def peak_utilisation(model: InverseModel, written: WrittenReference, solution: Solution) -> float:
-    """Return the peak demand over the limit, between the knots that are written."""
-    if (written.first, written.last) == (0, len(solution.vertices) - 1):
-        return solution.utilisation
-    inside = slice(written.first, written.last)
-    return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
 
 
 def late_segments(

@@ -15,8 +15,7 @@ import numpy as np
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
 from models.compiled import kernel
-from models.kinematics.base import Kinematics
-from models.machine import CORNER_MM_PER_S, Machine, Steps
+from models.machine import CORNER_MM_PER_S, Machine
 
 SHORTEST_TRAVEL_MM = 1e-9  # a shorter nozzle move counts as extruder-only
 NOZZLE_MM, FILAMENT_MM = 0.4, 1.75  # diameters
@@ -58,8 +57,7 @@ class PlannerLimits:
     delta: DeltaSlowZones | None = None  # None: no slow zones
 
 
-@dataclass(frozen=True, slots=True)
-class Lines:
+class Lines(NamedTuple):
     """n straight moves as geometry."""
 
     step: FloatArray  # (n, 4) mm, columns X Y Z E: end - start; XYZ zero where the move is extruder-only
@@ -68,8 +66,7 @@ class Lines:
     travels: BoolArray  # (n,) the nozzle moves
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
+class Bounds(NamedTuple):
     """What each of n moves may do by itself."""
 
     speed: FloatArray  # (n,) mm/s
@@ -135,16 +132,8 @@ class _Configured(NamedTuple):
 
 def bounds_of(moves: Moves, lines: Lines, limits: PlannerLimits) -> Bounds:
     """Every limit on single moves, put together."""
-    set_by_the_file = (
-        moves.velocity_limit,
-        moves.acceleration,
-        moves.square_corner_velocity,
-        moves.minimum_cruise_ratio,
-    )
-    configured = _Configured.of(limits)
-    return Bounds(
-        *_bounds(moves.start, moves.end, moves.speed, lines.direction, lines.travels, set_by_the_file, configured)
-    )
+    by_file = moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio
+    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines, by_file, _Configured.of(limits)))
 
 
 @kernel
@@ -152,13 +141,12 @@ def _bounds(
     start: FloatArray,
     end: FloatArray,
     speed: FloatArray,
-    direction: FloatArray,
-    travels: BoolArray,
+    lines: Lines,
     set_by_the_file: tuple[FloatArray, ...],
     configured: _Configured,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute the columns of `Bounds`; set_by_the_file: velocity, acceleration, corner and cruise ratio, (n,) each."""
-    n = len(speed)
+    n, direction, travels = len(speed), lines.direction, lines.travels
     top, acceleration, smooth, deviation = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     velocities, accelerations, corners, ratios = set_by_the_file
     for i in range(n):
@@ -205,19 +193,13 @@ def _share_bound(
 
 def planner_limits(machine: Machine) -> PlannerLimits:
     """Return the limits of the printer's own configuration, as the machine file states it."""
-    limits = machine.limits
+    limits, zones = machine.limits, machine.kinematics.slow_zones
+    half_step = 0.5 / float(np.max(machine.steps.per_motor))
     return PlannerLimits(
         velocity_mm_per_s=limits.velocity_mm_per_s,
         acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
         square_corner_velocity_mm_per_s=limits.square_corner_velocity_mm_per_s,
         z_velocity_mm_per_s=limits.z_velocity_mm_per_s,
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2,
-        delta=_slow_zones(machine.kinematics, machine.steps),
+        delta=None if zones is None else DeltaSlowZones(zones.delta_radius_mm, zones.shortest_arm_mm, half_step),
     )
-
-
-def _slow_zones(kinematics: Kinematics, steps: Steps) -> DeltaSlowZones | None:
-    """Return where the firmware slows down near the border; None: nowhere."""
-    zones = kinematics.slow_zones
-    half_step = 0.5 / float(np.max(steps.per_motor))
-    return None if zones is None else DeltaSlowZones(zones.delta_radius_mm, zones.shortest_arm_mm, half_step)

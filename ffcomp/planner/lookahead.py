@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.planner.limits import Lines, PlannerLimits, bounds_of, lines_of
+from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
@@ -72,12 +72,7 @@ def stops_and_waits(program: Program) -> tuple[BoolArray, FloatArray]:
 
 
 def plan_moves(
-    moves: Moves,
-    limits: PlannerLimits,
-    *,
-    stop_before: BoolArray,
-    wait_before: FloatArray,
-    start_t: float = 0.0,
+    moves: Moves, limits: PlannerLimits, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
 ) -> Trajectory:
     """Plan the motion that the firmware makes of the moves, from rest to rest.
 
@@ -96,19 +91,10 @@ def plan_moves(
     check(moves, wait_before)
     lines = lines_of(moves)
     bounds = bounds_of(moves, lines, limits)
-    kept, corner = _corners(
-        lines.length,
-        lines.direction,
-        lines.travels,
-        bounds.speed,
-        bounds.acceleration,
-        bounds.junction_deviation,
-        stop_before | (wait_before > 0.0),
-        limits.instantaneous_corner_velocity_mm_per_s,
-    )
-    phases = phases_from_corners(
-        kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration
-    )
+    stops = stop_before | (wait_before > 0.0)
+    kept, corner = _corners(lines, bounds, stops, limits.instantaneous_corner_velocity_mm_per_s)
+    ramps = bounds.acceleration, bounds.smooth_acceleration
+    phases = phases_from_corners(kept, corner, lines.length, bounds.speed, *ramps)
     return timed(moves, lines, Phases(*phases), wait_before, start_t)
 
 
@@ -164,20 +150,13 @@ def timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, s
 
 
 @kernel
-def _corners(
-    length: FloatArray,
-    direction: FloatArray,
-    travels: BoolArray,
-    speed: FloatArray,
-    acceleration: FloatArray,
-    deviation: FloatArray,
-    stop_before: BoolArray,
-    filament_jump: float,
-) -> tuple[IntArray, FloatArray]:
+def _corners(lines: Lines, bounds: Bounds, stop_before: BoolArray, filament_jump: float) -> tuple[IntArray, FloatArray]:
     """Return the moves with a length, (m,), and the highest v² at their starts, (m,).
 
     stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
     """
+    length, direction, travels = lines.length, lines.direction, lines.travels
+    speed, acceleration, deviation = bounds.speed, bounds.acceleration, bounds.junction_deviation
     kept, corner = np.empty(len(length), dtype=np.int64), np.zeros(len(length))
     m, last, stops = 0, 0, True
     for i in range(len(length)):
@@ -187,23 +166,18 @@ def _corners(
                 v2 = min(speed[i] ** 2, speed[last] ** 2)
                 lowest_deviation = min(deviation[i] * acceleration[i], deviation[last] * acceleration[last])
                 lowest_gain = min(2.0 * length[i] * acceleration[i], 2.0 * length[last] * acceleration[last])
-                v2 = min(v2, _turn(direction[i], direction[last], lowest_deviation, lowest_gain))
-                step = abs(direction[i, 3] - direction[last, 3])
+                ahead, behind = direction[i], direction[last]
+                along = ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2]
+                by_deviation, by_circle = corner_ratios(along)
+                if by_deviation < np.inf:
+                    v2 = min(v2, by_deviation * lowest_deviation, by_circle * (0.25 * lowest_gain))
+                step = abs(ahead[3] - behind[3])
                 if step > 0.0:
                     v2 = min(v2, (filament_jump / step) ** 2)
                 corner[m] = v2
             kept[m] = i
             m, last, stops = m + 1, i, False
     return kept[:m], corner[:m]
-
-
-@kernel
-def _turn(ahead: FloatArray, behind: FloatArray, deviation_gain: float, gain: float) -> float:
-    """Return the highest v² by the angle between two moves; infinite where the path goes straight on."""
-    by_deviation, by_circle = corner_ratios(ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2])
-    if by_deviation < np.inf:
-        return min(by_deviation * deviation_gain, by_circle * (0.25 * gain))
-    return np.inf
 
 
 # Sweeps
@@ -259,7 +233,9 @@ def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, ca
 
 def check(moves: Moves, wait_before: FloatArray) -> None:
     """Refuse moves and waits that no firmware can follow."""
-    _check_waits(wait_before)
+    if (wrong := ~(np.isfinite(wait_before) & (wait_before >= 0.0))).any():
+        i = int(np.argmax(wrong))
+        raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")
     place = np.linalg.norm(moves.end - moves.start, axis=1)
     _refuse(moves, ~np.isfinite(place), place, "travels {} mm; a distance is finite")
     _refuse(moves, ~(moves.speed > 0.0), moves.speed, "has the speed {} mm/s; it must be above zero")
@@ -275,10 +251,3 @@ def _refuse(moves: Moves, wrong: BoolArray, value: FloatArray, rule: str) -> Non
     if wrong.any():
         i = int(np.argmax(wrong))
         raise GcodeError(f"The move {rule.format(value[i])}.", int(moves.line[i]) + 1)
-
-
-def _check_waits(wait_before: FloatArray) -> None:
-    wrong = ~(np.isfinite(wait_before) & (wait_before >= 0.0))
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")

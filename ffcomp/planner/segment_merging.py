@@ -6,17 +6,14 @@ direction it bends the path; along it the nozzle is only early or late.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
-MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = (
-    2.0,
-    0.5,
-)  # knots that time may be ahead of or behind one segment per knot
+MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = 2.0, 0.5  # knots that time may be ahead of or behind one segment per knot
 FIRST_KNOTS_AHEAD = 1.0  # the lead after a cut
 KNOT_ROUNDING = 1e-9  # of a knot
 WIDEST_TOLERANCE = 4.0  # times the tolerance, where time is behind
@@ -25,8 +22,7 @@ MOST_SHIFT = 0.03  # of such a segment: shift of its end
 COARSE_SHARE = 0.5  # of the shortest segment: error allowed for it
 
 
-@dataclass(frozen=True, slots=True)
-class MergeLimits:
+class MergeLimits(NamedTuple):
     """What a segment may be."""
 
     across_mm: float  # error allowed across the command's direction,
@@ -37,8 +33,9 @@ class MergeLimits:
     shortest_mm: float
 
 
+@kernel
 def merge(
-    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits, cut: int = 1 << 40
+    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits, cut: float = 1e12
 ) -> IntArray:
     """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
 
@@ -58,9 +55,28 @@ def merge(
     -------
     (m,) indices of the points to keep, first and last among them
     """
-    tolerance = (limits.across_mm, limits.along_mm, limits.filament_mm)
-    shortest = (limits.shortest, limits.shortest_mm)
-    return _chosen(at, points, e, pinned, tolerance, limits.longest, shortest, float(cut))
+    n = len(points) - 1
+    kept = np.empty(n + 1, dtype=np.int64)
+    kept[0] = 0
+    count, first, pin = 1, kept[0], kept[0]  # a literal 0 would compile what is called for it by itself
+    ahead = FIRST_KNOTS_AHEAD  # knots that have gone by, less the segments that were used for them
+    while first < n:
+        if pin <= first:
+            pin = first + 1
+            while pin < n and not pinned[pin]:
+                pin += 1
+        if at[first] % cut == 0.0:
+            ahead = FIRST_KNOTS_AHEAD
+        # rather here than where the next line cuts one
+        wider = min(max(1.0 - MOST_KNOTS_BEHIND - ahead, 0.0) + 1.0, WIDEST_TOLERANCE)
+        last = _furthest(at, points, e, first, pin, wider, limits)
+        if last < pin:
+            last = _balanced(at, points, e, first, last, pin, limits)
+        ahead = min(ahead + at[last] - at[first] - 1.0, MOST_KNOTS_AHEAD)
+        kept[count] = last
+        count += 1
+        first = last
+    return kept[:count].copy()
 
 
 @kernel
@@ -205,66 +221,24 @@ def _solve_tridiagonal(diagonal: FloatArray, beside: FloatArray, right: FloatArr
 
 
 @kernel
-def _chosen(
-    at: FloatArray,
-    points: FloatArray,
-    e: FloatArray,
-    pinned: BoolArray,
-    tolerance: tuple[float, float, float],
-    longest: float,
-    shortest: tuple[float, float],
-    cut: float,
-) -> IntArray:
-    n = len(points) - 1
-    kept = np.empty(n + 1, dtype=np.int64)
-    kept[0] = 0
-    count, first, pin = 1, kept[0], kept[0]  # a literal 0 would compile what is called for it by itself
-    ahead = FIRST_KNOTS_AHEAD  # knots that have gone by, less the segments that were used for them
-    while first < n:
-        if pin <= first:
-            pin = first + 1
-            while pin < n and not pinned[pin]:
-                pin += 1
-        if at[first] % cut == 0.0:
-            ahead = FIRST_KNOTS_AHEAD
-        least = shortest[0] - KNOT_ROUNDING
-        wider = min(
-            max(1.0 - MOST_KNOTS_BEHIND - ahead, 0.0) + 1.0, WIDEST_TOLERANCE
-        )  # rather here than where the next line cuts one
-        within = (wider * tolerance[0], wider * tolerance[1], tolerance[2])
-        last = _furthest(at, points, e, first, pin, within, longest, least, shortest[1])
-        if last < pin:
-            last = _balanced(at, points, e, first, last, pin, least, shortest)
-        ahead = min(ahead + at[last] - at[first] - 1.0, MOST_KNOTS_AHEAD)
-        kept[count] = last
-        count += 1
-        first = last
-    return kept[:count].copy()
-
-
-@kernel
 def _furthest(
-    at: FloatArray,
-    points: FloatArray,
-    e: FloatArray,
-    first: int,
-    pin: int,
-    tolerance: tuple[float, float, float],
-    longest: float,
-    least: float,
-    shortest_mm: float,
+    at: FloatArray, points: FloatArray, e: FloatArray, first: int, pin: int, wider: float, limits: MergeLimits
 ) -> int:
-    """Where the segment from `first` may end at the latest; before that, where it must be long enough."""
-    last = first + 1
+    """Where the segment from `first` may end at the latest; before that, where it must be long enough.
+
+    wider : times the tolerances of its path
+    """
+    last, shortest_mm = first + 1, limits.shortest_mm
+    within = (wider * limits.across_mm, wider * limits.along_mm, limits.filament_mm)
     while last < pin:
         long_enough = _apart(points, first, last) >= shortest_mm
-        if at[last] - at[first] >= least and (
+        if at[last] - at[first] >= limits.shortest - KNOT_ROUNDING and (
             long_enough or not _may_miss(at, points, e, first, last + 1, shortest_mm)
         ):
             break  # the latter: too short a segment rather than a turn that is cut off
         last += 1
-    while last < pin and at[last + 1] - at[first] <= longest:
-        if not _straight(at, points, e, first, last + 1, tolerance):
+    while last < pin and at[last + 1] - at[first] <= limits.longest:
+        if not _straight(at, points, e, first, last + 1, within):
             break
         last += 1
     return last
@@ -272,19 +246,12 @@ def _furthest(
 
 @kernel
 def _balanced(
-    at: FloatArray,
-    points: FloatArray,
-    e: FloatArray,
-    first: int,
-    last: int,
-    pin: int,
-    least: float,
-    shortest: tuple[float, float],
+    at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, pin: int, limits: MergeLimits
 ) -> int:
-    """Where the segment from `first` ends so that what is left until the pinned point is not too short."""
-    shortest_knots, shortest_mm = shortest
+    """Where the segment from `first` ends so that the rest until the pinned point is not too short."""
+    shortest_mm = limits.shortest_mm
     for j in range(last, first, -1):
-        in_time = at[pin] - at[j] >= shortest_knots and at[j] - at[first] >= least
+        in_time = at[pin] - at[j] >= limits.shortest and at[j] - at[first] >= limits.shortest - KNOT_ROUNDING
         if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= shortest_mm:
             return j
     return pin if _may_miss(at, points, e, first, pin, shortest_mm) else last

@@ -12,6 +12,7 @@ which is a quadratic in c: with F = 60 c every duration comes out exact. Junctio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +24,7 @@ from models.machine import CORNER_MM_PER_S
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
 SETTLED_MM_PER_S = 1e-9  # a smaller change of a junction does not affect its segments
 
-_Numbers = tuple[
-    float, float, float, float, float, float
-]  # acceleration, corner, z, extruder's corner, retraction, top
+_Numbers = tuple[float, ...]  # acceleration, corner, z, extruder's corner, retraction, top
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +52,7 @@ class SegmentLimits:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class SegmentSpeeds:
+class SegmentSpeeds(NamedTuple):
     """Speeds of n segments as the firmware will execute them."""
 
     cruise: FloatArray  # (n,) mm/s: requested by F
@@ -63,8 +61,7 @@ class SegmentSpeeds:
     duration: FloatArray  # (n,) s; S wherever the acceleration allows it
 
 
-@dataclass(frozen=True, slots=True)
-class TimedSegments:
+class TimedSegments(NamedTuple):
     """Segments of uneven lengths, each from when it is due."""
 
     due: FloatArray  # (n + 1,) s, rising
@@ -81,8 +78,7 @@ class TimedSegments:
 
     def positions(self, times: FloatArray) -> FloatArray:
         """Return where the firmware is at times (m,) s, rising, (m, 3) mm; outside the segments, at their ends."""
-        s = self.speeds
-        return _positions(self.due, self.vertices, s.cruise, s.junction, s.acceleration, s.duration, times)
+        return _positions(*self, times)
 
 
 def segment_speeds(
@@ -116,15 +112,13 @@ def sample_even_segments(
     -------
     (n·substeps + 1, 3) mm
     """
-    return _sampled_evenly(vertices, extrusion, lasting_s, limits.numbers, substeps)
+    speeds = segment_speeds(vertices, extrusion, np.full(len(vertices) - 1, lasting_s), limits)
+    return sample_segments(vertices, speeds, substeps)
 
 
 @kernel
 def _played(
-    vertices: FloatArray,
-    extrusion: FloatArray,
-    lasting: FloatArray,
-    limits: _Numbers,
+    vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: _Numbers
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     acceleration, corner_v, z_acceleration, extruder_corner_v, retract_acceleration, top_v = limits
     n = len(vertices) - 1
@@ -226,15 +220,8 @@ def _travelled(
 
 
 @kernel
-def _positions(
-    due: FloatArray,
-    vertices: FloatArray,
-    cruise: FloatArray,
-    junction: FloatArray,
-    acceleration: FloatArray,
-    duration: FloatArray,
-    times: FloatArray,
-) -> FloatArray:
+def _positions(due: FloatArray, vertices: FloatArray, speeds: SegmentSpeeds, times: FloatArray) -> FloatArray:
+    cruise, junction, acceleration, duration = speeds
     n, k = len(cruise), 0
     out = np.empty((len(times), 3))
     for i in range(len(times)):
@@ -259,15 +246,9 @@ def _positions(
 
 
 @kernel
-def sample_segments(
-    vertices: FloatArray,
-    cruise: FloatArray,
-    junction: FloatArray,
-    acceleration: FloatArray,
-    duration: FloatArray,
-    substeps: int,
-) -> FloatArray:
+def sample_segments(vertices: FloatArray, speeds: SegmentSpeeds, substeps: int) -> FloatArray:
     """Sample the nozzle command at `substeps` equal parts of every segment, ramps included: (n·substeps + 1, 3) mm."""
+    cruise, junction, acceleration, duration = speeds
     n = len(cruise)
     out = np.empty((n * substeps + 1, 3))
     for k in range(n):
@@ -289,16 +270,3 @@ def sample_segments(
     for i in range(3):
         out[n * substeps, i] = vertices[n, i]
     return out
-
-
-@kernel
-def _sampled_evenly(
-    vertices: FloatArray,
-    extrusion: FloatArray,
-    lasting_s: float,
-    limits: _Numbers,
-    substeps: int,
-) -> FloatArray:
-    lasting = np.full(len(vertices) - 1, lasting_s)
-    cruise, junction, accelerations, duration = _played(vertices, extrusion, lasting, limits)
-    return sample_segments(vertices, cruise, junction, accelerations, duration, substeps)

@@ -97,15 +97,7 @@ class Trajectory:
 
     @property
     def _phases(self) -> tuple[FloatArray, ...]:
-        return (
-            self.accel_t,
-            self.cruise_t,
-            self.decel_t,
-            self.start_v,
-            self.cruise_v,
-            self.end_v,
-            self.acceleration,
-        )
+        return (self.accel_t, self.cruise_t, self.decel_t, self.start_v, self.cruise_v, self.end_v, self.acceleration)
 
 
 @kernel

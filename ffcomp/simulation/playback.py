@@ -144,11 +144,19 @@ def simulate_nozzles(
     believed : the machine whose inverse kinematics the firmware uses
     coarse : with longer rows, as a search needs; printers that are not smooth keep the short ones
     """
-    longer = COARSE if coarse and all(map(_is_smooth, plants)) else 1
+    printers = map(converted_printer, plants if coarse else ())
+    one_step_a_row = all(longest_step(p.parameters, p.modes) >= (1 - ROUNDING) * ROW_S for p in printers)
+    longer = COARSE if coarse and one_step_a_row else 1
     row_s, keep_every, pairs = longer * ROW_S, KEEP_EVERY // longer, max(len(plants), len(motions))
-    commands = [_command(motion, believed, row_s) for motion in motions]
+
+    def command(motion: Motion) -> Callable[[int, int], FloatArray]:
+        actuators, begin, end = motion.actuators(believed), motion.begin_t, motion.end_t
+        return lambda first, last: actuators(np.minimum(begin + row_s * np.arange(first, last, dtype=np.float64), end))
+
+    commands = [command(motion) for motion in motions]
     plants, motions = list(plants) * (pairs // len(plants)), list(motions) * (pairs // len(motions))
-    counts = [_row_count(motion) // longer for motion in motions]
+    kept = [int((motion.end_t - motion.begin_t) / ROW_S) // KEEP_EVERY for motion in motions]
+    counts = [KEEP_EVERY * count // longer for count in kept]
     chunk_rows = max(min(8 * MOST_ROWS // pairs, MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
     how: Any = {"hold": "linear", "chunk_rows": chunk_rows, "substeps": 1 if longer > 1 else None}
     parts_of: list[list[FloatArray]] = [[] for _ in motions]
@@ -156,34 +164,14 @@ def simulate_nozzles(
         for into, each, count in zip(parts_of, played, counts, strict=True):
             into.append(each.nozzle_mm[keep_every : max(count - first, 0) + 1 : keep_every])
     nozzles = [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, parts_of, strict=True)]
-    return list(zip(map(_times, motions), nozzles, strict=True))
-
-
-def _is_smooth(plant: Machine) -> bool:
-    """Return whether one step a row is enough."""
-    printer = converted_printer(plant)
-    return longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S
+    times = [m.begin_t + SAMPLE_S * np.arange(1, n + 1, dtype=np.float64) for m, n in zip(motions, kept, strict=True)]
+    return list(zip(times, nozzles, strict=True))
 
 
 def side_by_side(motions: Sequence[Motion]) -> list[list[int]]:
     """Group motions, by their numbers, for `simulate_nozzles`: as many as go at once, of about the same length."""
     order = sorted(range(len(motions)), key=lambda k: motions[k].end_t - motions[k].begin_t)
     return [order[k : k + LANES] for k in range(0, len(order), LANES)]
-
-
-def _row_count(motion: Motion) -> int:
-    return int((motion.end_t - motion.begin_t) / ROW_S) // KEEP_EVERY * KEEP_EVERY
-
-
-def _times(motion: Motion) -> FloatArray:
-    return motion.begin_t + KEEP_EVERY * ROW_S * np.arange(1, _row_count(motion) // KEEP_EVERY + 1, dtype=np.float64)
-
-
-def _command(motion: Motion, believed: Machine, row_s: float = ROW_S) -> Callable[[int, int], FloatArray]:
-    actuators = motion.actuators(believed)
-    return lambda first, last: actuators(
-        np.minimum(motion.begin_t + row_s * np.arange(first, last, dtype=np.float64), motion.end_t)
-    )
 
 
 def check_same_kinematics(machine: Machine, plant: Machine) -> None:

@@ -12,13 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.firmware.program import known_to_the_firmware, plan_program
-from ffcomp.metrics import (
-    Track,
-    build_track,
-    contour_error,
-    end_to_end,
-    tracking,
-)
+from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import (

@@ -163,16 +163,14 @@ def read_steps(path: str | Path) -> dict[str, MotorSteps]:
 
 def _motors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, MotorSteps]:
     named = [motor for motor in MOTORS + FOLLOWING if motor in MOTORS or f"{motor}_direction" in arrays]
-    needed = ["clock_hz", *(key for motor in named for key in _keys(motor, arrays))]
+    needed = ["clock_hz"]
+    for motor in named:
+        times = ("interval", "count", "add") if f"{motor}_interval" in arrays else ("tick",)
+        needed += [f"{motor}_{key}" for key in (*times, "direction", "start_mm", "step_mm")]
     if missing := [key for key in needed if key not in arrays]:
         raise StepsError(f"The archive has no {', '.join(missing)}; step timings need {', '.join(needed)}.")
     clock_hz = _number(arrays, "clock_hz")
     return {motor: _motor(motor, arrays, clock_hz) for motor in named}
-
-
-def _keys(motor: str, arrays: Mapping[str, NDArray[Any]]) -> list[str]:
-    times = ("interval", "count", "add") if f"{motor}_interval" in arrays else ("tick",)
-    return [f"{motor}_{key}" for key in (*times, "direction", "start_mm", "step_mm")]
 
 
 def _motor(motor: str, arrays: Mapping[str, NDArray[Any]], clock_hz: float) -> MotorSteps:

@@ -143,12 +143,7 @@ def _room(array: NDArray[Any], used: int, more: int) -> NDArray[Any]:
 
 @kernel
 def step_times(
-    pieces: Columns,
-    arm: Arm,
-    grid: tuple[float, float],
-    clock_hz: float,
-    rules: Rules,
-    state: IntArray,
+    pieces: Columns, arm: Arm, grid: tuple[float, float], clock_hz: float, rules: Rules, state: IntArray
 ) -> tuple[IntArray, WayArray]:
     """Compute the steps of one motor along a chunk of pieces; `state` goes on to the next chunk.
 

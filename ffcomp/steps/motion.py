@@ -48,9 +48,8 @@ class MotionBlock:
     text: list[bytes] = field(default_factory=list)
     bends: list[IntArray] = field(default_factory=list)  # (n, 4) each
     size: int = 0
-    run: tuple[float, IntArray, IntArray] | None = (
-        None  # s between knots; the last knot and the step to it, on the grid
-    )
+    # s between knots; the last knot and the step to it, on the grid
+    run: tuple[float, IntArray, IntArray] | None = None
 
     def lines(self, text: bytes) -> None:
         """Append lines of G-code, each with its line ending."""
@@ -213,9 +212,6 @@ class MotionSink:
         """Say whether the Z of what follows is meant, or only its changes: after a macro the host knows better."""
         self._height_known = known
 
-    def _flags(self) -> int:
-        return RESTS_BEFORE * self._rests | ANY_HEIGHT * (not self._height_known)
-
     def pieces(self, pieces: Pieces) -> None:
         """Take the next part of the path: straight segments, equally long in time."""
         if not len(pieces):
@@ -256,20 +252,14 @@ class MotionSink:
                 self._line(self._events.popleft()[1])
                 continue
             last = min(first + min(max(self._knots_since_rest // GROWTH, LEAST_KNOTS), MOST_KNOTS), due)
-            self._make_room()
-            self._chunk.knots(spacing, places[first : last + 1], self._flags())
-            self._moved()
+            if self._chunk.size > FULL_BYTES:  # only before motion: the last record may still be marked to end at rest
+                self._flush()
+            flags = RESTS_BEFORE * self._rests | ANY_HEIGHT * (not self._height_known)
+            self._chunk.knots(spacing, places[first : last + 1], flags)
+            self._rests = False
+            self._records += 1
             self._knots_since_rest += last - first
             first = last
-
-    def _moved(self) -> None:
-        self._rests = False
-        self._records += 1
-
-    def _make_room(self) -> None:
-        """Begin a new chunk if needed, but only before motion: the last record may still be marked to end at rest."""
-        if self._chunk.size > FULL_BYTES:
-            self._flush()
 
     def _flush(self) -> None:
         self._body.write(self._chunk.packed())

@@ -22,11 +22,11 @@ from ffcomp.steps.crossings import (
     Arm,
     Columns,
     Pieces,
+    Rules,
     last_step,
     step_times,
 )
 from models.arrays import FloatArray, IntArray
-from models.kinematics.base import Kinematics
 from models.machine import Machine
 
 WayArray = NDArray[np.int8]
@@ -66,43 +66,24 @@ class MotorTotal:
     latest_s: float  # the longest that a pulse was put off to keep its distance
 
 
-class _Part:
-    """Output of one motor's steps: each step, or compressed rows."""
-
-    def __init__(self, folder: Path, compressor: Compressor | None) -> None:
-        types: dict[str, DTypeLike] = {"tick": np.int64, "direction": np.int8}
-        if compressor is not None:
-            types = {"interval": np.int64, "count": np.uint16, "add": np.int16, "direction": np.int8}
-        self.columns = {name: Column(dtype, folder) for name, dtype in types.items()}
-        self._compressor = compressor
-
-    def add(self, tick: IntArray, way: WayArray) -> None:
-        self._append((tick, way) if self._compressor is None else self._compressor.add(tick, way))
-
-    def finish(self) -> None:
-        if self._compressor is not None:
-            self._append(self._compressor.finish())
-
-    def _append(self, columns: tuple[NDArray[Any], ...]) -> None:
-        for column, values in zip(self.columns.values(), columns, strict=True):
-            column.append(values)
-
-
 class _Motor:
-    """One motor between chunks."""
+    """One motor between chunks, and the output of its steps: each of them, or compressed rows."""
 
-    def __init__(self, name: str, machine: Machine, board: Board, part: _Part) -> None:
-        self.name, self.part, self._board = name, part, board
-        self._arm = _arm(machine.kinematics, name)
-        of_motors = dict(zip(MOTORS, machine.steps.per_motor.tolist(), strict=True))
-        per_mm = of_motors.get(name, board.extruder_steps_per_mm)
+    def __init__(self, name: str, machine: Machine, board: Board, folder: Path, error_s: float | None) -> None:
+        self.name, self._board, place = name, board, (MOTORS + FOLLOWING).index(name)
+        filament = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        self._arm = cast(Arm, tuple([*machine.kinematics.motor_rows.tolist(), filament][place]))
+        per_mm = [*machine.steps.per_motor.tolist(), board.extruder_steps_per_mm][place]
         self.start_mm, self.step_mm, self.steps = 0.0, 1.0 / per_mm, 0
-        self._rules = (
-            board.ticks(board.shortest_turn_s),
-            board.ticks(board.pulse_spacing_s),
-            board.ticks(board.direction_setup_s),
-        )
+        seconds = (board.shortest_turn_s, board.pulse_spacing_s, board.direction_setup_s)
+        self._rules = cast(Rules, tuple(map(board.ticks, seconds)))
         self._state = np.zeros(STATE_SIZE, dtype=np.int64)
+        self._compressor: Compressor | None = None
+        types: dict[str, DTypeLike] = {"tick": np.int64, "direction": np.int8}
+        if error_s is not None:
+            self._compressor = Compressor(int(error_s * board.clock_hz), self._rules[1])
+            types = {"interval": np.int64, "count": np.uint16, "add": np.int16, "direction": np.int8}
+        self.columns = {key: Column(dtype, folder) for key, dtype in types.items()}
 
     def add(self, pieces: Pieces) -> None:
         chunk = cast(Columns, tuple(map(np.ascontiguousarray, pieces.columns)))
@@ -111,14 +92,10 @@ class _Motor:
 
     def finish(self) -> None:
         self._take(*last_step(self._rules, self._state))
-        self.part.finish()
+        if self._compressor is not None:
+            self._append(self._compressor.finish())
 
     def _take(self, tick: IntArray, way: WayArray) -> None:
-        self._check_pace()
-        self.steps += len(tick)
-        self.part.add(tick, way)
-
-    def _check_pace(self) -> None:
         late, most = self._state[LATEST] / self._board.clock_hz, self._board.most_late_s
         if late > most:
             at, rate = self._state[LATEST_TICK] / self._board.clock_hz, 1.0 / self._board.pulse_spacing_s
@@ -127,17 +104,17 @@ class _Motor:
                 f"{problem}: a pulse would come {late * 1e6:.0f} µs late, at most {most * 1e6:.0f} µs are allowed. "
                 f"Use fewer microsteps than {1.0 / self.step_mm:g} a millimetre, or a shorter pulse spacing."
             )
+        self.steps += len(tick)
+        self._append((tick, way) if self._compressor is None else self._compressor.add(tick, way))
+
+    def _append(self, columns: tuple[NDArray[Any], ...]) -> None:
+        for column, values in zip(self.columns.values(), columns, strict=True):
+            column.append(values)
 
     def total(self) -> MotorTotal:
         late = float(self._state[LATEST]) / self._board.clock_hz
-        rows = self.part.columns["count"].length if "count" in self.part.columns else 0
+        rows = self.columns["count"].length if "count" in self.columns else 0
         return MotorTotal(self.steps, rows, int(self._state[SWALLOWED]), late)
-
-
-def _arm(geometry: Kinematics, motor: str) -> Arm:
-    """Return the motor's row of `Kinematics.motor_rows`, or the filament's own."""
-    rows = [*geometry.motor_rows.tolist(), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]
-    return cast(Arm, tuple(rows[(MOTORS + FOLLOWING).index(motor)]))
 
 
 def _shown(place: FloatArray) -> str:
@@ -169,17 +146,11 @@ class StepSink:
         self._target, self._board, self._geometry = Path(target), board, machine.kinematics
         self._error_s = error_s
         folder = self._target.resolve().parent
-        self._motors = [_Motor(name, machine, board, self._part(folder, error_s)) for name in MOTORS + FOLLOWING]
+        self._motors = [_Motor(name, machine, board, folder, error_s) for name in MOTORS + FOLLOWING]
         self._event_tick, self._event_line = Column(np.int64, folder), TextColumn(folder)
         self._end_t = 0.0
         self._end: FloatArray | None = None  # (4,) mm, where the last piece ended
         self._last_event_t = 0.0
-
-    def _part(self, folder: Path, error_s: float | None) -> _Part:
-        if error_s is None:
-            return _Part(folder, None)
-        slack, spacing = int(error_s * self._board.clock_hz), self._board.ticks(self._board.pulse_spacing_s)
-        return _Part(folder, Compressor(slack, spacing))
 
     def __enter__(self) -> Self:
         return self
@@ -264,14 +235,14 @@ class StepSink:
         for motor in self._motors:
             yield f"{motor.name}_start_mm", number_npy(motor.start_mm)
             yield f"{motor.name}_step_mm", number_npy(motor.step_mm)
-            yield from ((f"{motor.name}_{key}", column.npy()) for key, column in motor.part.columns.items())
+            yield from ((f"{motor.name}_{key}", column.npy()) for key, column in motor.columns.items())
         yield "events_tick", self._event_tick.npy()
         yield "events_line", self._event_line.npy()
 
     def close(self) -> None:
         """Discard the temporary files; `finish` does so itself."""
         for motor in self._motors:
-            for column in motor.part.columns.values():
+            for column in motor.columns.values():
                 column.close()
         self._event_tick.close()
         self._event_line.close()

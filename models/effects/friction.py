@@ -247,10 +247,7 @@ JOINT_FRICTION = Effect(
     kind="force",
     physics="Tight or dirty joints resist the effector's motion with the same force at every speed.",
     equation="F = −f Ẋ/|Ẋ|; at rest any |F| ≤ f",
-    parameters=(
-        amplitude("force_n", "f, on the effector", (0, 200), (0.2, 5), 0.5),
-        *reversal_parameters("scalar"),
-    ),
+    parameters=(amplitude("force_n", "f, on the effector", (0, 200), (0.2, 5), 0.5), *reversal_parameters("scalar")),
     in_data="Jumps of the nozzle's acceleration at reversals of the path, shared by all three towers.",
     confounded_with={"coulomb_friction": "One tower at a time: guide friction stays on the tower that reverses."},
     of=("carriages",),

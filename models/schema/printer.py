@@ -9,12 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from models.machine import (
-    MarlinSettings,
-    MotionLimits,
-    RepRapFirmwareSettings,
-    Steps,
-)
+from models.machine import MarlinSettings, MotionLimits, RepRapFirmwareSettings, Steps
 from models.schema.table import FOUR, THREE, TWO, Place, Table, refuse
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default

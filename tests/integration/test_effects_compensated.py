@@ -10,7 +10,7 @@ import pytest
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, inversion
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
-from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse import solve as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.simulation.command import Motion

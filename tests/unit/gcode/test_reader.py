@@ -108,12 +108,7 @@ def test_positions_agree_with_a_simple_reading(name: str) -> None:
 def test_a_frame_turns_places_back_into_the_numbers_of_the_file(
     flow: float, feed: float, inches: bool, renamed: bool, xs: list[int]
 ) -> None:
-    head = [
-        f"M221 S{flow * 100:.4f}",
-        f"M220 S{feed * 100:.4f}",
-        "G20" if inches else "G21",
-        "G92 X3 E2" * renamed,
-    ]
+    head = [f"M221 S{flow * 100:.4f}", f"M220 S{feed * 100:.4f}", "G20" if inches else "G21", "G92 X3 E2" * renamed]
     moves = [f"G1 X{x} E{x + 7} F{abs(x) + 1}" for x in xs]
     program = read(*head, *moves)
     for line, end, speed, number in zip(
@@ -251,8 +246,5 @@ def test_where_only_z_is_not_known_it_is_taken_to_be_the_last() -> None:
     )  # fmt: skip
     assert ends(program)[1:] == [[5, 4, 3, 1], [5, 4, 5, 1], [5, 6, 5, 1], [7, 7, 9, 1]]
     raw = [event.raw for event in program.events if event.kind is EventKind.RAW_MOVE]
-    assert [(move.start[:3], move.end[:3]) for move in raw if move] == [
-        ((1, 2, 3), (4, 4, 3)),
-        ((5, 6, 5), (5, 7, 9)),
-    ]
+    assert [(move.start[:3], move.end[:3]) for move in raw if move] == [((1, 2, 3), (4, 4, 3)), ((5, 6, 5), (5, 7, 9))]
     assert [program.frames[frame].z_known for frame in program.moves.frame] == [True, False, False, False, True]

@@ -102,16 +102,8 @@ def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
         ),
         ("effector_height_mm = 50\n", "", "kinematics.effector_height_mm is missing."),
         ("arm_length_mm = 300\n", "", "kinematics.arm_length_mm is missing; give it, or arm_lengths_mm"),
-        (
-            "mass_kg = 0.18",
-            "mas_kg = 0.18",
-            "carriage.mas_kg is not a key of a machine file. Did you mean 'mass_kg'?",
-        ),
-        (
-            "arm_length_mm = 300",
-            "arm_length_mm = 275",
-            "kinematics: the arm of tower A, 275 mm, is too short",
-        ),
+        ("mass_kg = 0.18", "mas_kg = 0.18", "carriage.mas_kg is not a key of a machine file. Did you mean 'mass_kg'?"),
+        ("arm_length_mm = 300", "arm_length_mm = 275", "kinematics: the arm of tower A, 275 mm, is too short"),
         ("0, 120, 240", "0, 90, 180", "the towers must stand around the bed"),
     ],
 )
@@ -124,10 +116,7 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
     [
         ("[steps]\nsteps_per_mm = 4", "full_steps_per_mm = 5 must not exceed steps_per_mm = 4"),
         ("[effects]\nbelt_backlash = 1", "effects.belt_backlash = 1 must be a table."),
-        (
-            "[uncertainty]\n'carriage.mas_kg' = 0.1",
-            "is not a number of this file. Did you mean 'carriage.mass_kg'?",
-        ),
+        ("[uncertainty]\n'carriage.mas_kg' = 0.1", "is not a number of this file. Did you mean 'carriage.mass_kg'?"),
         ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
         ("[macros]\nreturns = ['G 1']", "macros.returns[0] = 'G 1' must be a name"),
     ],
@@ -138,18 +127,9 @@ def test_mistakes_in_optional_tables(problems, more: str, problem: str) -> None:
 
 def test_all_mistakes_are_told_at_once(problems) -> None:
     found = problems(
-        ("arm_length_mm", "arm_lenght_mm"),
-        ("= 0.18", "= 180"),
-        ("[limits]", "[limit]"),
-        ("= 0.5", "= 'heavy'"),
+        ("arm_length_mm", "arm_lenght_mm"), ("= 0.18", "= 180"), ("[limits]", "[limit]"), ("= 0.5", "= 'heavy'")
     )
-    for key in (
-        "arm_length_mm is missing",
-        "'arm_length_mm'?",
-        "mass_kg = 180",
-        "limits is missing",
-        "'heavy'",
-    ):
+    for key in ("arm_length_mm is missing", "'arm_length_mm'?", "mass_kg = 180", "limits is missing", "'heavy'"):
         assert any(key in sentence for sentence in found), key
 
 
@@ -165,18 +145,10 @@ def test_broken_text_is_named_with_its_place(write) -> None:
 
 def test_the_library_prints_table_1(as_printed) -> None:
     carriage, effector = delta_vibration(as_printed).carriage, delta_vibration(as_printed).effector
-    assert (carriage.mass_kg, carriage.arm_pair_mass_kg, carriage.belt_stiffness_n_per_m) == (
-        0.179,
-        0.032,
-        1.21e5,
-    )
+    assert (carriage.mass_kg, carriage.arm_pair_mass_kg, carriage.belt_stiffness_n_per_m) == (0.179, 0.032, 1.21e5)
     assert (carriage.belt_damping_n_s_per_m, carriage.guide_damping_n_s_per_m) == (5.31, 13.4)
     assert vars(carriage.drive) == {"d0_per_s2": 1.43e5, "d1_per_s": -212.1, "d2_per_s": 36.2}
-    assert (effector.nozzle_mass_kg, effector.extruder_mass_kg, effector.joint_radius_mm) == (
-        0.542,
-        0.109,
-        39.91,
-    )
+    assert (effector.nozzle_mass_kg, effector.extruder_mass_kg, effector.joint_radius_mm) == (0.542, 0.109, 39.91)
     assert effector.extruder_stiffness_n_per_m.tolist() == [3.31e3, 7.04e3, 1.29e5]
     assert effector.extruder_damping_n_s_per_m.tolist() == [20.4, 40.5, 19.6]
     assert effector.center_of_mass_mm.tolist() == [10.21, -16.52, 19.31]

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp.compensation.gcode_layout import Tile, tiles, timeline
-from ffcomp.compensation.gcode_writer import Writer
+from ffcomp.compensation.gcode_writer import GcodeRenderer
+from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.firmware.program import PlannedProgram, plan_program
-from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, Settings, settings_for
@@ -42,7 +42,7 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
     program = read_program(data, "print.gcode", flavor=KLIPPER)
     planned: PlannedProgram = plan_program(program, machine())
     model = InverseModel(machine(), inverse_settings())
-    writer = Writer(program, inverse_settings(), FIRMWARES[KLIPPER].segments(model))
+    writer = GcodeRenderer(PlannedChunk.whole(planned), Context(model, KLIPPER))
     text: list[bytes] = []
     taken = 0
     for run in planned.sections:

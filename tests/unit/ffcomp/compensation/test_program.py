@@ -21,8 +21,7 @@ BUMP = np.exp(-(((np.arange(400) - 60.0) / 12.0) ** 2))[:, None] * np.array([0.0
 
 
 @pytest.mark.parametrize(
-    ("off_mm", "why"),
-    [(0.0, ""), (0.3, ""), (3.0, "it leaves its path by 3"), (np.nan, "it is not finite")],
+    ("off_mm", "why"), [(0.0, ""), (0.3, ""), (3.0, "it leaves its path by 3"), (np.nan, "it is not finite")]
 )
 def test_a_command_far_from_its_path_is_refused(off_mm: float, why: str) -> None:
     machine = load_machine("mp-delta-pro")

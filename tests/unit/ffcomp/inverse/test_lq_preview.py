@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.firmware.program import plan_program
-from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse import solve as fast
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, PreviewGains, SegmentPlant
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
-from ffcomp.inverse.violations import solution_violations
+from ffcomp.inverse.time_scaling import solution_violations
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections

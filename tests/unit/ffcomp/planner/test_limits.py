@@ -26,10 +26,7 @@ def bounds(points: ArrayLike, limits: PlannerLimits = LIMITS, speed: float = 100
     [
         ([30.0, 40.0, 0.0, 2.0], 1.0),  # printing: the extruder follows
         ([30.0, 40.0, 0.0, -5.0], 50.0 / 5.0 * FILAMENT),  # retracting on the way, slowly enough
-        (
-            [30.0, 40.0, 0.0, -25.0],
-            50.0 / 25.0 * FILAMENT,
-        ),  # retracting on the way, too fast for the extruder
+        ([30.0, 40.0, 0.0, -25.0], 50.0 / 25.0 * FILAMENT),  # retracting on the way, too fast for the extruder
         ([0.0, 0.0, 0.0, 7.0], FILAMENT),
         ([0.0, 0.0, 4.0, 2.0], 2.0 * FILAMENT),  # Z and filament together count as the extruder's
     ],

@@ -29,9 +29,7 @@ LIMITS = PlannerLimits(
 )
 DELTA = dataclasses.replace(LIMITS, minimum_cruise_ratio=0.5, delta=DeltaSlowZones(140.0, 280.0, 0.00625))
 points = st.lists(
-    st.tuples(*(st.integers(-200, 200).map(lambda tenth: 0.1 * tenth) for _ in range(2))),
-    min_size=2,
-    max_size=12,
+    st.tuples(*(st.integers(-200, 200).map(lambda tenth: 0.1 * tenth) for _ in range(2))), min_size=2, max_size=12
 )
 speeds = st.lists(st.floats(1.0, 400.0), min_size=11, max_size=11)
 
@@ -39,10 +37,7 @@ speeds = st.lists(st.floats(1.0, 400.0), min_size=11, max_size=11)
 def plan(moves: Moves, limits: PlannerLimits = LIMITS, stops: ArrayLike = False, waits: ArrayLike = 0.0) -> Trajectory:
     n = len(moves)
     return plan_moves(
-        moves,
-        limits,
-        stop_before=np.array(np.broadcast_to(stops, n)),
-        wait_before=np.array(np.broadcast_to(waits, n)),
+        moves, limits, stop_before=np.array(np.broadcast_to(stops, n)), wait_before=np.array(np.broadcast_to(waits, n))
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -45,7 +44,7 @@ def missed(at: FloatArray, points: FloatArray, kept: NDArray[np.int64]) -> tuple
 @pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
 def test_segments_stay_within_the_tolerances(scale: float) -> None:
     vertices, e = wave(400)
-    limits = replace(LIMITS, across_mm=1e-3 * scale, along_mm=4e-3 * scale, longest=25.0)
+    limits = LIMITS._replace(across_mm=1e-3 * scale, along_mm=4e-3 * scale, longest=25.0)
     pinned = unpinned(vertices)
     pinned[[57, 58, 211]] = True
     kept = merge(np.arange(401.0), vertices, e, pinned, limits)
@@ -82,7 +81,7 @@ def test_what_is_kept_after_a_cut_does_not_depend_on_what_came_before() -> None:
     t = np.sort(np.append(np.arange(401.0), [3.5, 17.25, 63.75, 64.5, 150.5]))
     points, filament = (np.stack([np.interp(t, np.arange(401), c) for c in v.T], 1) for v in (vertices, e[:, None]))
     pinned = (t % 64 == 0) | (t % 1 != 0)
-    limits = replace(LIMITS, shortest_mm=0.01)
+    limits = LIMITS._replace(shortest_mm=0.01)
     whole = merge(t, points, filament[:, 0], pinned, limits, 64)
     begin = int(np.searchsorted(t, 64.0))
     part = merge(t[begin:], points[begin:], filament[begin:, 0], pinned[begin:], limits, 64)

@@ -95,7 +95,7 @@ def test_durations_come_out_exact_under_the_planner(acceleration: float) -> None
     trajectory = plan(vertices, e, speeds.cruise, limits)
     np.testing.assert_allclose(trajectory.duration, S, atol=2e-9)
     t = np.arange(200 * 8) * S / 8
-    ours = sample_segments(vertices, speeds.cruise, speeds.junction, speeds.acceleration, speeds.duration, 8)
+    ours = sample_segments(vertices, speeds, 8)
     np.testing.assert_allclose(trajectory.position(t)[:, :3], ours[:-1], atol=1e-6)
 
 

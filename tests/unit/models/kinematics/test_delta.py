@@ -15,12 +15,7 @@ SYMMETRIC = DeltaKinematics(
     constant([300.0] * 3), constant([140.0] * 3), constant([0.0, 120.0, 240.0]), 50.0, 135.0, 300.0
 )
 CROOKED = DeltaKinematics(
-    constant([300.0, 301.5, 298.2]),
-    constant([140.0, 141.1, 139.2]),
-    constant([29.0, 151.5, 270.3]),
-    50.0,
-    135.0,
-    300.0,
+    constant([300.0, 301.5, 298.2]), constant([140.0, 141.1, 139.2]), constant([29.0, 151.5, 270.3]), 50.0, 135.0, 300.0
 )
 
 
@@ -59,9 +54,7 @@ def test_every_arm_keeps_its_length(geometry: DeltaKinematics) -> None:
     across = xyz[:, None, :2] - geometry.towers_mm
     rise = q - (xyz[:, 2:] + geometry.effector_height_mm)
     np.testing.assert_allclose(
-        np.hypot(np.hypot(across[..., 0], across[..., 1]), rise),
-        np.tile(geometry.arm_lengths_mm, (50, 1)),
-        rtol=1e-13,
+        np.hypot(np.hypot(across[..., 0], across[..., 1]), rise), np.tile(geometry.arm_lengths_mm, (50, 1)), rtol=1e-13
     )
     assert np.all(rise > 0)  # carriages above the effector, not the mirrored solution
 

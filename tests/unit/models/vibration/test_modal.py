@@ -121,10 +121,7 @@ def test_the_frequency_of_the_mount_makes_two_modes_a_chain_of_two_masses() -> N
     axis = Axis(tuple(frequency), (0.0, 0.0), tuple(share), mass_kg=m1 + m2, mount_frequency_hz=mount)
     model = ModalAxes.of([axis, Axis(), Axis()])
     assert model.drive_stiffness[0] == pytest.approx(k1, rel=1e-9)
-    changed, (expected, shares) = (
-        model.with_belts(np.array([0.3, 0.0, 0.0]), np.eye(3)),
-        chain(1.3 * k1, k2, m1, m2),
-    )
+    changed, (expected, shares) = (model.with_belts(np.array([0.3, 0.0, 0.0]), np.eye(3)), chain(1.3 * k1, k2, m1, m2))
     assert [o.frequency_hz for o in changed.axes[0]] == pytest.approx(expected, rel=1e-9)
     assert [o.share for o in changed.axes[0]] == pytest.approx(shares, rel=1e-9)
     parts = model.printer_modes()[:2, 4, 0]
