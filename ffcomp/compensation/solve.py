@@ -56,7 +56,6 @@ def solutions(
     before: Resting | None = None,
     *,
     wants: Callable[[Reference], bool] | None = None,
-    keep_responses: bool = False,
     layers_before: int = 0,
     extent: Extent = WHOLE,
 ) -> Iterator[tuple[Section, SolvedSection | None]]:
@@ -70,7 +69,6 @@ def solutions(
     model : the machine's inverse
     before : the plant before the first section; None: others have moved the nozzle, and it is at rest
     wants : asked once for each section whether the prediction samples it; None: there is no prediction
-    keep_responses : keep the responses of all sections, not only of those that the prediction samples
     layers_before : layers of the file that have begun before this program
     extent : the part of the program that is written, if it begins or ends in motion
 
@@ -78,7 +76,7 @@ def solutions(
     ------
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    travelling = _linear(planned, model, before, wants, keep_responses, layers_before, extent)
+    travelling = _linear(planned, model, before, wants, layers_before, extent)
     if model.printer is not None:  # correct them by the whole printer, effects included
         from ffcomp.inverse.nonlinear import correct_sections
 
@@ -95,7 +93,6 @@ def _linear(
     model: InverseModel,
     before: Resting | None,
     wants: Callable[[Reference], bool] | None,
-    keep_responses: bool,
     layers_before: int,
     extent: Extent,
 ) -> Iterator[SolvedSection]:
@@ -121,13 +118,12 @@ def _linear(
         if written.reference.knots * settings.rows_per_segment == len(offset):
             written.reference.robust_offset = offset
         sampled = wants is not None and wants(written.reference)
-        keep = sampled or keep_responses
         if settings.slowing.slow:
             solved = solve_feasible(
-                model, PlannedSection(program, trajectory, section, written, state, replanner, part, keep)
+                model, PlannedSection(program, trajectory, section, written, state, replanner, part, sampled)
             )
         else:
-            result = solve(model, written.reference, state, keep_response=keep)
+            result = solve(model, written.reference, state, keep_response=sampled)
             solved = SolvedSection(trajectory, section, written, result)
         solved = replace(solved, sampled=sampled, rest_s=rest)
         if before is not None and not moved[section.first] and not before.is_at(start):

@@ -149,14 +149,14 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
 
 
 def test_a_bound_that_is_not_kept_is_told_and_refused(printed: Path, tmp_path: Path) -> None:
-    """A feature that keeps its speed cannot keep a tenth of a micrometre: a line says where, exit 6 if strict."""
+    """A feature that keeps its speed cannot keep a tenth of a micrometre: a warning says so, exit 6 if strict."""
     bound = ("--max-error-um", "0.1", "--keep-speed", "other", "-o", tmp_path / "out.gcode")
     answer = call(printed, "-m", MACHINE, "--json", "-q", *bound)
     assert answer.exit_code == 0
-    (said,) = (line for line in json.loads(answer.stdout)["warnings"] if "times its bound" in line)
-    assert said.startswith("line ") and " µm here" in said
+    (said,) = (line for line in json.loads(answer.stdout)["warnings"] if "is not held" in line)
+    assert said.startswith("The bound of 0.1 µm is not held: for 99 % of the time the predicted error is below 2.")
     refused = call(printed, "-m", MACHINE, "--strict", *bound)
-    assert refused.exit_code == 6 and "times its bound" in refused.stderr
+    assert refused.exit_code == 6 and "is not held" in refused.stderr
 
 
 # ---- interrupt ----

@@ -43,7 +43,7 @@ def part() -> PrintSlice:
 def solved(machine: Machine, printer: Machine | None = None) -> tuple[InverseModel, list[SolvedSection]]:
     inverter = InverseModel(machine, settings_for(machine))
     vars(inverter)["printer"] = printer or inverter.printer  # a printer that is not the one believed in
-    return inverter, [each for _, each in solutions(part().planned, inverter, keep_responses=True) if each is not None]
+    return inverter, [each for _, each in solutions(part().planned, inverter, wants=lambda _: True) if each is not None]
 
 
 @cache
