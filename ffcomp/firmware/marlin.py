@@ -30,6 +30,7 @@ from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import assumed_sentence, row_after
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import CUT
 from ffcomp.planner.lifts import STEEP
 from ffcomp.planner.segment_merging import at_most
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
@@ -174,7 +175,15 @@ class MarlinSegments(Segments):
         within = inside(placed)
         due, placed = np.where(within, due, at[kept]), np.where(within[:, None], placed, points[kept])
         stays = at_most(due, placed, np.arange(len(kept)), pinned[kept], self.most_in_a_second)
-        return kept[stays], due[stays], placed[stays], pinned[kept][stays]
+        kept, due, placed, fixed = kept[stays], due[stays], placed[stays], pinned[kept][stays]
+        per_mm = self.row[STEPS][2]
+        for k in np.flatnonzero(np.diff(due) * self.knot_s > self.longest_s).tolist():
+            x, y, z = placed[k + 1] - placed[k]
+            stands, moved = (k + 1, k) if k + 2 == len(due) or due[k + 1] % CUT == 0.0 else (k, k + 1)
+            if moved and due[moved] % CUT and STEEP * np.hypot(x, y) <= abs(z):  # a lift that goes aside would be cut
+                placed[moved] = placed[stands]
+                placed[moved, 2] += np.rint((moved - stands) * z * per_mm) / per_mm
+        return kept, due, placed, fixed
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Return the ends of the file's own lines at whole steps."""
