@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WrittenReference
-from ffcomp.inverse.sensitivity import MARGIN, Sensitivity
+from ffcomp.inverse.sensitivity import MARGIN, Sensitivity, machines_off, perturbed_machines
 from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import sample_even_segments
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.compiled import fast_kernel, kernel
-from models.machine import Machine, with_values
+from models.machine import Machine
 from models.vibration.scheduled import Schedule, plant_table
 
 ShortArray = NDArray[np.float32]
@@ -177,7 +177,6 @@ def _normal_error(error: ShortArray, velocity: FloatArray, standing: float) -> t
 
 
 DIRECTIONS = 4  # of the parameters that change a printer's response most: 98 % of the variance on a delta
-LEAST_VALUE = 0.2  # of a parameter's nominal value
 TABLE_PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's, since only differences count
 SENSITIVITY_PLACES_MM = ((0.0, 0.0), (40.0, 0.0), (0.0, 40.0))  # where the directions are found
 LOWEST_HZ, FREQUENCIES = 2.0, 60  # of the frequencies there
@@ -210,18 +209,11 @@ class Ensemble:
     @cached_property
     def perturbed(self) -> list[tuple[Machine, Schedule]]:
         """The printers that are off, with their plants; none if the machine file is certain of everything."""
-        machine = self.model.machine
-        parameters = machine.vibration.parameters()
-        spread = parameters.relative_sd(machine.uncertainty)
-        if not np.any(spread):
+        machine, (_, *each) = self.model.machine, perturbed_machines(self.model.machine)
+        if not each:
             return []
-
-        def moved(deviates: FloatArray) -> Machine:
-            return with_values(machine, parameters.scaled(deviates, spread, least=LEAST_VALUE))
-
-        each = [moved(deviates) for deviates in np.eye(parameters.columns)]
         directions = _principal(machine, each, self.model.settings.inverse_hz)
-        return [(printer, self._plant(printer)) for printer in map(moved, directions)]
+        return [(printer, self._plant(printer)) for printer in machines_off(machine, directions)]
 
     def _plant(self, machine: Machine) -> Schedule:
         s = self.model.settings

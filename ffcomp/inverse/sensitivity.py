@@ -29,6 +29,7 @@ ShortComplexArray = NDArray[np.complex64]
 
 DRAWS, DRAWS_WIDE = 32, 128  # of twice as many the offsets are no better; where the uncertainty is wide, they are
 FARTHEST = 2.5  # standard deviations
+LEAST_VALUE = 0.2  # of a parameter's nominal value
 DIRECTIONS = 3  # of D over the draws, besides its mean; with six the errors are 1 to 3 % lower,
 DIRECTIONS_WIDE = 8  # and where the modes are known to 20 % only, three hold 70 % of the spread and eight 93 %
 PLACES_MM = 15.0  # to which the middle of a span is rounded
@@ -269,24 +270,23 @@ def apply_adjoint(known: ShortComplexArray, lines: ShortComplexArray, width: int
 
 def sampled_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
     """Return machines as the uncertainties allow them, the same every time; an even number, or this one."""
-    parameters = machine.vibration.parameters()
-    spread = parameters.relative_sd(machine.uncertainty)
-    if not np.any(spread):
-        return [machine]
-    rng = np.random.default_rng(1)
-    half = np.clip(rng.standard_normal((count // 2, parameters.columns)), -FARTHEST, FARTHEST)
-    draws = np.concatenate([half, -half])  # in pairs: their mean is the machine
-    return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in draws]
+    rng, columns = np.random.default_rng(1), machine.vibration.parameters().columns
+    half = np.clip(rng.standard_normal((count // 2, columns)), -FARTHEST, FARTHEST)
+    return machines_off(machine, np.concatenate([half, -half])) or [machine]  # in pairs: their mean is the machine
 
 
 def perturbed_machines(machine: Machine) -> list[Machine]:
     """Return the machine, and those with one parameter off by one standard deviation."""
+    columns = machine.vibration.parameters().columns
+    return machines_off(machine, np.concatenate([np.zeros((1, columns)), np.eye(columns)])) or [machine]
+
+
+def machines_off(machine: Machine, deviates: FloatArray) -> list[Machine]:
+    """Return machines whose parameters are off by deviates (k, columns); none if the file is certain of everything."""
     parameters = machine.vibration.parameters()
     spread = parameters.relative_sd(machine.uncertainty)
-    deviates = np.concatenate([np.zeros((1, parameters.columns)), np.eye(parameters.columns)])
-    if not np.any(spread):
-        return [machine]
-    return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in deviates]
+    each = deviates if np.any(spread) else ()
+    return [with_values(machine, parameters.scaled(row, spread, least=LEAST_VALUE)) for row in each]
 
 
 def _h(matrix: ComplexArray) -> ComplexArray:
