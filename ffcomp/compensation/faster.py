@@ -53,7 +53,10 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[Plann
     """
     program, machine = chunk.program, model.full_machine
     slicers = firmware_plan(program, machine)
-    near = _near_cuts(chunk, slicers)
+    near = np.zeros(len(program.moves), dtype=np.bool_)
+    if chunk.extent != WHOLE:
+        for part in chunk.extent.near(slicers, context_s(program.moves, slicers)):
+            near[part] = True
     quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
     warnings = (*_bound_exceeded(chunk, quicker, bound), *_unchanged_moves(chunk, quicker))
     if warnings and model.settings.slowing.strict:
@@ -61,31 +64,18 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[Plann
     quick: Program | None = quicker.program
     if near.any() and chunk.extent.end is not None:
         quick = in_whole_segments(quicker.program, quicker.free, chunk.extent, machine, model.settings)
+    seconds = _by_feature(program, slicers, chunk.feature)
     if quick is None:
-        seconds = _by_feature(program, slicers, chunk.feature)
-        return plan_program(program, machine), Faster(
-            seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),), bound.loosest_um
+        kept = (
+            f"line {program.line_of(0)}: the motion from here on does not rest, and too little of it lies between "
+            "cuts; it keeps the slicer's speed, and its error is not bounded."
         )
+        as_sliced = Faster(seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (kept,), bound.loosest_um)
+        return plan_program(program, machine), as_sliced
     planned = plan_program(quick, machine)
-    return (
-        replace(planned, firmware_s=slicers.end_t),
-        Faster(
-            _by_feature(program, slicers, chunk.feature),
-            _by_feature(program, planned.trajectory, chunk.feature),
-            quicker.actuator_limit_s,
-            quicker.limited_by,
-            warnings,
-            bound.loosest_um,
-        ),
-    )
-
-
-def _near_cuts(chunk: Chunk, slicers: Trajectory) -> BoolArray:
-    near = np.zeros(len(chunk.program.moves), dtype=np.bool_)
-    if chunk.extent != WHOLE:
-        for part in chunk.extent.near(slicers, context_s(chunk.program.moves, slicers)):
-            near[part] = True
-    return near
+    now = _by_feature(program, planned.trajectory, chunk.feature)
+    times = seconds, now, quicker.actuator_limit_s, quicker.limited_by
+    return replace(planned, firmware_s=slicers.end_t), Faster(*times, warnings, bound.loosest_um)
 
 
 def _by_feature(program: Program, plan: Trajectory, feature: str) -> dict[str, float]:
@@ -96,14 +86,6 @@ def _by_feature(program: Program, plan: Trajectory, feature: str) -> dict[str, f
 
 def _added(some: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
     return {name: some.get(name, 0.0) + more.get(name, 0.0) for name in (*some, *(n for n in more if n not in some))}
-
-
-def _not_faster(chunk: Chunk) -> str:
-    line = chunk.program.line_of(0)
-    return (
-        f"line {line}: the motion from here on does not rest, and too little of it lies between cuts; "
-        "it keeps the slicer's speed, and its error is not bounded."
-    )
 
 
 def _bound_exceeded(chunk: Chunk, quicker: FasterProgram, bound: Bound) -> tuple[str, ...]:

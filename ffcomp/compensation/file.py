@@ -8,7 +8,7 @@ from functools import partial
 from os.path import realpath
 from pathlib import Path
 
-from ffcomp.compensation.job import Job, Lines
+from ffcomp.compensation.job import Job
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.errors import LimitsError
@@ -72,7 +72,10 @@ def compensate_file(
             if again or stamps[name] is None
         }
         if not todo:
-            return already_compensated(path, stamps.values(), _copied(source, target) or Path(path))
+            if target is None or (isinstance(source, Path) and target.exists() and target.samefile(source)):
+                return already_compensated(path, stamps.values(), Path(path))
+            replace_atomically(target, raw_blocks(source) if isinstance(source, Path) else [source])
+            return already_compensated(path, stamps.values(), target)
         if request.kind == "gcode":
             results = _write(container, todo, target, progress, still_the_same)
         else:
@@ -81,14 +84,6 @@ def compensate_file(
                 raise UnsupportedGcode(f"Step timings are of one print, and the file holds {several}.", path=path)
             results = {name: job.write_steps(target, progress) for name, job in todo.items()}
         return CompensatedFile(path, target, results)
-
-
-def _copied(source: bytes | Path, target: Path | None) -> Path | None:
-    """Copy a file to its target and return the target; None: the file is the target."""
-    if target is None or (isinstance(source, Path) and target.exists() and target.samefile(source)):
-        return None
-    replace_atomically(target, raw_blocks(source) if isinstance(source, Path) else [source])
-    return target
 
 
 def _write(
@@ -102,7 +97,12 @@ def _write(
 
     todo : by the print's name;  check : is called before the target is replaced
     """
-    streams = _streams(todo, None if target is None else Path(realpath(target)).parent, progress)
+    sizes, folder = [job.size for job in todo.values()], None if target is None else Path(realpath(target)).parent
+
+    def tell(number: int, share: float) -> None:
+        progress((sum(sizes[:number]) + share * sizes[number]) / max(sum(sizes), 1))
+
+    streams = {name: job.lines(partial(tell, k), folder) for k, (name, job) in enumerate(todo.items())}
     texts = (iter(streams[name]) if name in streams else blocks_of(text) for name, text in container.prints.items())
     if target is None:
         for lines in texts:
@@ -115,13 +115,3 @@ def _write(
                 if job.settings.slowing.strict and (missed := streams[name].value.bound_missed):
                     raise LimitsError(missed[0])
     return {name: stream.value for name, stream in streams.items()}
-
-
-def _streams(todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]) -> dict[str, Lines]:
-    """Return each print's compensated lines, computed on reading."""
-    sizes = [job.size for job in todo.values()]
-
-    def tell(number: int, share: float) -> None:
-        progress((sum(sizes[:number]) + share * sizes[number]) / max(sum(sizes), 1))
-
-    return {name: job.lines(partial(tell, k), folder) for k, (name, job) in enumerate(todo.items())}
