@@ -67,10 +67,7 @@ class Track:
 
 
 def build_track(
-    at_equal_times: Tracking,
-    contour_mm: FloatArray,
-    print_time_s: float,
-    peak_command_acceleration: float,
+    at_equal_times: Tracking, contour_mm: FloatArray, print_time_s: float, peak_command_acceleration: float
 ) -> Track:
     """Build the TRACK of one motion from `tracking`, `contour_error`, mm, and the accelerations of `peaks`, mm/s²."""
     contour = contour_statistics(contour_mm)
@@ -104,11 +101,7 @@ def contour_statistics(contour_mm: FloatArray) -> ContourStatistics:
 
 
 def contour_error(
-    path_t: FloatArray,
-    path_xyz: FloatArray,
-    actual_t: FloatArray,
-    actual_xyz: FloatArray,
-    window_s: float = WINDOW_S,
+    path_t: FloatArray, path_xyz: FloatArray, actual_t: FloatArray, actual_xyz: FloatArray, window_s: float = WINDOW_S
 ) -> FloatArray:
     """Return the distance : (m,) mm of each sample to the reference segments in progress within ± window_s of its time.
 
@@ -129,13 +122,18 @@ def contour_error(
     ValueError
         If the path has fewer than two corners, or times that fall.
     """
+    near = segments_near(path_t, actual_t, window_s)
+    return distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), *near)
+
+
+def segments_near(path_t: FloatArray, actual_t: FloatArray, window_s: float = WINDOW_S) -> tuple[IntArray, IntArray]:
+    """Return the segments low ≤ k < high, (m,) each, that `contour_error` looks at; it has the parameters."""
     if len(path_t) < 2 or np.any(np.diff(path_t) < 0):
         raise ValueError(f"A reference path needs two corners or more, at times that never fall; it has {len(path_t)}.")
     first, last = path_t[:-1], path_t[1:]
     # before the path begins its first segment counts, after its end the last one
     low = np.minimum(np.searchsorted(last, actual_t - window_s, side="left"), len(last) - 1)
-    high = np.maximum(np.searchsorted(first, actual_t + window_s, side="right"), 1)
-    return distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
+    return low, np.maximum(np.searchsorted(first, actual_t + window_s, side="right"), 1)
 
 
 @fast_kernel

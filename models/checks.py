@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.arrays import ComplexArray, FloatArray
+from models.arrays import FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
 
@@ -51,7 +51,10 @@ def check_physics(machine: Machine) -> PhysicsChecks:
     s = np.asarray(2j * np.pi * FREQUENCIES_HZ, dtype=np.complex128)
     y = np.stack([model.receptance(position, s) for position in xy])
     growth = _smallest(-machine.vibration.poles(xy).real.max(axis=1), xy)
-    return PhysicsChecks(replace(growth, value=-growth.value), _smallest(_dissipation(y), xy))
+    mobility = 1j * y  # ω scales both alike
+    hermitian = (mobility + mobility.conj().swapaxes(-1, -2)) / 2
+    dissipated = np.linalg.eigvalsh(hermitian)[..., 0] / np.linalg.norm(mobility, 2, axis=(-2, -1))
+    return PhysicsChecks(replace(growth, value=-growth.value), _smallest(np.asarray(dissipated), xy))
 
 
 def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
@@ -73,13 +76,6 @@ def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -
 def bed(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
     """Return the centre and rings around it out to the print radius : (n, 2) mm, columns X Y."""
     return machine.kinematics.rings(radii - 1, directions)
-
-
-def _dissipation(y: ComplexArray) -> FloatArray:
-    """Return the smallest eigenvalue of the Hermitian part of jωY over its norm : (n, k) for y (n, k, 3, 3)."""
-    mobility = 1j * y  # ω scales both alike
-    hermitian = (mobility + mobility.conj().swapaxes(-1, -2)) / 2
-    return np.asarray(np.linalg.eigvalsh(hermitian)[..., 0] / np.linalg.norm(mobility, 2, axis=(-2, -1)))
 
 
 def _smallest(values: FloatArray, xy: FloatArray) -> Extreme:

@@ -36,10 +36,12 @@ class NamedMachine:
 
 def named_machines() -> list[NamedMachine]:
     """List every named machine, in alphabetical order."""
-    return [
-        NamedMachine(name, "library" if path.parent == LIBRARY else "user", path, *_glanced(path, _changed(path)))
-        for name, path in machine_paths().items()
-    ]
+    found = []
+    for name, path in machine_paths().items():
+        changed = path.stat().st_mtime_ns if path.exists() else 0  # removed in the meantime
+        origin = "library" if path.parent == LIBRARY else "user"
+        found.append(NamedMachine(name, origin, path, *_glanced(path, changed)))
+    return found
 
 
 @lru_cache(maxsize=512)
@@ -56,10 +58,3 @@ def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
     said = kinematics.get("type") if isinstance(kinematics, dict) else None, document.get("name")
     kind, name = (value if isinstance(value, str) else None for value in said)
     return kind, name
-
-
-def _changed(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:  # removed in the meantime
-        return 0

@@ -18,7 +18,7 @@ import numpy as np
 from ffcomp import shapers
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import mode_sd
-from ffcomp.metrics import contour_error
+from ffcomp.metrics import distance_to_path, segments_near
 from ffcomp.numerics.digits import um
 from ffcomp.shapers.apply import shape_samples
 from ffcomp.shapers.search import Scan, search
@@ -30,6 +30,7 @@ from models.effects.catalogue import design_machine
 from models.file import machine_paths
 from models.machine import Machine, assumed_modes, way_to_measure, with_values
 from models.schema.documents import DEFAULT_UNCERTAINTY
+from models.vibration.scheduled import OnCarriages
 
 PRINTERS = 20
 TABLE_PITCH_MM = 20.0  # of their tables over the bed; half of it changes the mean errors by 0.3 %
@@ -132,8 +133,9 @@ class Piece:
         velocity = np.gradient(rows, STEP_S, axis=0)
         judged = slice(round(self.settling_s / STEP_S), None, KEEP_EVERY)
         due = commanded.due[1 : steps + 1][judged]
-        nozzles = (printer.respond(rows, velocity)[0][judged] for printer in printers)
-        return [contour_error(self.path_t, self.path, due, nozzle) ** 2 for nozzle in nozzles]
+        nozzles = (np.ascontiguousarray(printer.respond(rows, velocity)[0][judged]) for printer in printers)
+        path, near = np.ascontiguousarray(self.path), segments_near(self.path_t, due)
+        return [distance_to_path(path, nozzle, *near) ** 2 for nozzle in nozzles]
 
 
 def pieces_of(plan: Motion, command: Motion, path: tuple[FloatArray, FloatArray]) -> list[Piece]:
@@ -182,24 +184,15 @@ def pieces_of_segments(
     length = seconds if share >= 1.0 else min(seconds, PIECE_S)
     count = min(int(share * seconds / length + lot), int(seconds / length))
     pitch = seconds / max(count, 1)
-    firsts = (float(knots_t[0]) + k * pitch + 0.5 * (pitch - length) for k in range(count))
-    return [_piece_of_segments(plan, knots_t, vertices, path, first, length) for first in firsts]
-
-
-def _piece_of_segments(
-    plan: Callable[[FloatArray], FloatArray],
-    knots_t: FloatArray,
-    vertices: FloatArray,
-    path: tuple[FloatArray, FloatArray],
-    first: float,
-    seconds: float,
-) -> Piece:
-    t = first + STEP_S * np.arange(-MARGIN, whole_steps(seconds) + 1 + MARGIN, dtype=np.float64)
-    inside = t[MARGIN:-MARGIN]
-    command = np.stack([np.interp(inside, knots_t, column) for column in vertices.T], axis=1)
-    near = _near(path[0], first, first + seconds)
-    settling_s = SETTLING_S if first > knots_t[0] else 0.0
-    return Piece(path[0][near], path[1][near], first, plan(t), inside, command, settling_s)
+    pieces = []
+    for k in range(count):
+        first = float(knots_t[0]) + k * pitch + 0.5 * (pitch - length)
+        t = first + STEP_S * np.arange(-MARGIN, whole_steps(length) + 1 + MARGIN, dtype=np.float64)
+        inside, near = t[MARGIN:-MARGIN], _near(path[0], first, first + length)
+        command = np.stack([np.interp(inside, knots_t, column) for column in vertices.T], axis=1)
+        settling_s = SETTLING_S if first > knots_t[0] else 0.0
+        pieces.append(Piece(path[0][near], path[1][near], first, plan(t), inside, command, settling_s))
+    return pieces
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +275,9 @@ def expectation(machine: Machine, pieces: Sequence[Piece], flavor: str) -> Expec
 
 def playbacks(machines: Sequence[Machine]) -> list[LinearPlayback]:
     """Return the linear model of each machine, ready to be simulated."""
-    return [LinearPlayback(design_machine(each)[0], TABLE_PITCH_MM) for each in machines]
+    designs = [design_machine(each)[0] for each in machines]
+    carriages = {each.kinematics: OnCarriages(each.kinematics) for each in designs}
+    return [LinearPlayback(each, TABLE_PITCH_MM, carriages[each.kinematics]) for each in designs]
 
 
 def errors_um(

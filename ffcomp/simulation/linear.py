@@ -10,7 +10,7 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.shapers import Shaper, shape
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.scheduled import PITCH_MM, Schedule, plant_table
+from models.vibration.scheduled import PITCH_MM, OnCarriages, Schedule, plant_table
 
 STEP_S = 5e-4
 SUBSTEPS = 8  # steps per model
@@ -22,11 +22,11 @@ JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the noz
 class LinearPlayback:
     """The linear model of a machine, simulated with a fixed step of STEP_S."""
 
-    def __init__(self, machine: Machine, pitch_mm: float = PITCH_MM) -> None:
-        """Tabulate the plant over the bed, with nodes this far apart."""
-        self._machine = machine
+    def __init__(self, machine: Machine, pitch_mm: float = PITCH_MM, carriages: OnCarriages | None = None) -> None:
+        """Tabulate the plant over the bed, with nodes this far apart; carriages : as for `Schedule`."""
+        self._vibration = machine.vibration
         table = plant_table(machine.kinematics, machine.vibration, STEP_S, pitch_mm)
-        self._schedule = Schedule(machine.kinematics, table)
+        self._schedule = Schedule(machine.kinematics, table, carriages)
 
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray | None = None
@@ -39,8 +39,9 @@ class LinearPlayback:
         velocity : (n + 1, 3), their velocity in mm/s
         state : (18,), at the first sample. None: at rest there
         """
-        begin = self._machine.equilibrium(nozzle[0]) if state is None else state
-        return self._schedule.respond(nozzle, velocity, begin, SUBSTEPS)
+        if state is None:
+            state = self._vibration.equilibrium(self._schedule.carriages.of(nozzle, velocity)[0][0])
+        return self._schedule.respond(nozzle, velocity, state, SUBSTEPS)
 
 
 def whole_steps(seconds: float) -> int:

@@ -119,19 +119,16 @@ class EffectParameter:
             return "" if _is_direction(value) else "must be 'x', 'y', 'both', or a unit vector [x, y]"
         if not self._has_size(value):
             return SIZES[self.size].format(unit=self._unit)
-        return self._range_problem(value if isinstance(value, list) else [value])
+        (low, high), values = self.bounds, value if isinstance(value, list) else [value]
+        if min(values) < low:
+            return f"must be at least {low:g}{self._unit}"
+        return f"must be at most {high:g}{self._unit}" if max(values) > high else ""
 
     def _has_size(self, value: Any) -> bool:
         if isinstance(value, list):
             counts = range(1, MOST_LINES + 1) if self.size == "lines" else (3,)
             return self.size != "scalar" and len(value) in counts and all(map(_is_number, value))
         return self.size != "vector3" and _is_number(value)
-
-    def _range_problem(self, values: list[float]) -> str:
-        low, high = self.bounds
-        if min(values) < low:
-            return f"must be at least {low:g}{self._unit}"
-        return f"must be at most {high:g}{self._unit}" if max(values) > high else ""
 
     @property
     def _unit(self) -> str:

@@ -318,7 +318,8 @@ KINDS: Mapping[str, type[AnyDocument]] = {
 
 def validated(document: Mapping[str, Any], path: str) -> AnyDocument:
     """Return the document, checked; raise MachineFileError with every mistake otherwise."""
-    kind = KINDS.get(str(_kind(document)), DeltaDocument)
+    table = document.get("kinematics")
+    kind = KINDS.get(str(table.get("type") if isinstance(table, dict) else None), DeltaDocument)
     problems = kind.missing(document)
     try:
         checked = kind.model_validate(document)
@@ -328,8 +329,3 @@ def validated(document: Mapping[str, Any], path: str) -> AnyDocument:
         quantities = quantities_of(document)
         raise MachineFileError(path, [quantities.sentence(problem) for problem in problems])
     return checked
-
-
-def _kind(document: Mapping[str, Any]) -> object:
-    table = document.get("kinematics")
-    return table.get("type") if isinstance(table, dict) else None

@@ -89,16 +89,13 @@ def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:
         yield f"axes.{name}.share is missing; with several modes it is each mode's share of the static response."
     elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
         yield f"axes.{name}.share = {table.share} must sum to 1, because at rest the axis is at its commanded position."
-    elif table.mount_frequency_hz is not None and not _is_between(table, table.mount_frequency_hz):
-        yield (
-            f"axes.{name}.mount_frequency_hz = {table.mount_frequency_hz:g} must lie between the frequencies of two "
-            "modes, and the higher mode's share must be negative."
-        )
-
-
-def _is_between(table: AxisTable, mount_hz: float) -> bool:
-    modes = sorted(zip(table.frequency_hz, table.share or [1.0], strict=True))
-    return len(modes) == 2 and modes[0][0] < mount_hz < modes[1][0] and modes[0][1] > 0 > modes[1][1]
+    elif (mount_hz := table.mount_frequency_hz) is not None:
+        (low, first), (high, second) = [*sorted(zip(table.frequency_hz, table.share or [1.0], strict=True)), (0, 0)][:2]
+        if modes != 2 or not (low < mount_hz < high and first > 0 > second):
+            yield (
+                f"axes.{name}.mount_frequency_hz = {mount_hz:g} must lie between the frequencies of two modes, and the "
+                "higher mode's share must be negative."
+            )
 
 
 class OneAxisTable(Table):

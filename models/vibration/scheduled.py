@@ -86,11 +86,27 @@ def plant_table(
     return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, kinematics.jacobian(xy))
 
 
+class OnCarriages:
+    """Rows of the nozzle on the carriages: once for all printers of one geometry that play the same rows in turn."""
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self.delta = kinematics.compiled()
+        self._nozzle = self._velocity = self._command = self._centripetal = np.empty((0, 3))
+
+    def of(self, nozzle: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return carriages mm, and J̇ q̇ mm/s², of the nozzle's positions mm and velocities mm/s; all (n, 3)."""
+        if nozzle is not self._nozzle or velocity is not self._velocity:
+            self._nozzle, self._velocity, self._command = nozzle, velocity, self.delta.inverse(nozzle)
+            self._centripetal = self.delta.rate_term(np.ascontiguousarray(nozzle), np.ascontiguousarray(velocity))
+        return self._command, self._centripetal
+
+
 class Schedule:
     """The plant over the bed, packed for the loop that plays commands on it."""
 
-    def __init__(self, kinematics: Kinematics, table: PlantTable) -> None:
-        self.delta, self.table = kinematics.compiled(), table
+    def __init__(self, kinematics: Kinematics, table: PlantTable, carriages: OnCarriages | None = None) -> None:
+        """Pack the table; carriages : shared by several schedules of one geometry."""
+        self.carriages, self.table = carriages or OnCarriages(kinematics), table
         self._coupled = None if len(table.plant.oscillators) else _packed(table)
         self._exchanging = _exchanging(table.plant)
 
@@ -125,11 +141,10 @@ class Schedule:
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray, substeps: int
     ) -> tuple[FloatArray, FloatArray]:
         """Return the nozzle's actual path under the command `nozzle`, (n·substeps, 3) mm, and the final state."""
-        nozzle = np.ascontiguousarray(nozzle)
-        centripetal = self.delta.rate_term(nozzle, np.ascontiguousarray(velocity))
+        command, centripetal = self.carriages.of(nozzle, velocity)
         place = np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2][: (len(nozzle) - 1) // substeps])
-        q, states = self.play(place, centripetal, self.delta.inverse(nozzle), state, substeps)
-        return self.delta.forward(q), states[-1]
+        q, states = self.play(place, centripetal, command, state, substeps)
+        return self.carriages.delta.forward(q), states[-1]
 
 
 def _exchanging(plant: DiscretePlant) -> bool:

@@ -115,12 +115,7 @@ def load_distribution(tower_angles_rad: FloatArray, effector: Effector) -> Float
     """
     angles = tower_angles_rad
     joints = effector.joint_radius_mm * np.stack([np.cos(angles), np.sin(angles), np.zeros(3)], axis=-1)
-    moments = [_cross_matrix(r) for r in joints - effector.center_of_mass_mm]  # S(r_i), Eq. 20
+    # S(r_i) of Eq. 20, with S(r) f = r × f
+    moments = [np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) for x, y, z in joints - effector.center_of_mass_mm]
     balance = np.block([[np.eye(3)] * 3, moments])  # L of Eq. 21
     return np.linalg.pinv(balance)[:, :3].reshape(3, 3, 3)
-
-
-def _cross_matrix(r: FloatArray) -> FloatArray:
-    """Return S(r), with S(r) f = r × f."""
-    x, y, z = r
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
