@@ -134,7 +134,7 @@ def _rows(values: Iterable[ArrayLike], observations: Sequence[Observation]) -> N
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
 SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
 PHASE_BINS = 16
-_, SLOW, _ = MOTIONS = ("backward", "turning back or at rest", "forward")
+SLOW = "turning back or at rest"
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def split_residual(problem: Problem, whiten: Whitener, residual: FloatArray) -> 
     groups: list[tuple[Split, Callable[[int, Observation], ArrayLike]]] = [
         (Split("signal", signals), lambda _, o: [signals.index(s) for s in o.signals]),
         (Split(place, tuple(map(problem.place_name, places)), at=places), lambda _, o: places.index(o.position)),
-        (Split("motion", MOTIONS), lambda _, o: _direction(o.speed)),
+        (Split("motion", ("backward", SLOW, "forward")), lambda _, o: _direction(o.speed)),
     ]
     if problem.commands:
         edges = np.linspace(0, 100, PHASE_BINS + 1)
