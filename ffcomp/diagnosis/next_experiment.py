@@ -46,7 +46,7 @@ INFEASIBLE = 1e11  # square of an entry: the residual of an infeasible printer i
 
 @dataclass(frozen=True)
 class Separation:
-    """Two explanations, and the recording where their predictions differ most.
+    """Two explanations that fit as well, and the recording where their predictions differ most.
 
     Differences are the rms, in units of the noise, over the band of the diagnosis. `there` excludes what retuning the
     best explanation, as far as the given runs allow, would make up for.
@@ -61,7 +61,7 @@ class Separation:
         said="sentence",
     )
 
-    ours: tuple[str, ...]  # the effects of the best explanation; empty: the machine file alone
+    ours: tuple[str, ...]  # the effects of the best explanation
     other: tuple[str, ...]
     now: float  # the difference in the given runs
     there: float  # the difference in the recording that is proposed
@@ -70,21 +70,18 @@ class Separation:
     command: str  # that plans the recording
     gcode: str  # that the command writes
     otherwise: str = ""  # how to separate them by other means
-    alike: bool = True  # both fit the given runs as well
 
     @property
     def tells(self) -> bool:
         """Tell whether the recording separates them."""
-        return self.there > max(SEPARATES_RMS, 2.0 * self.now if self.alike else 0.0)
+        return self.there > max(SEPARATES_RMS, 2.0 * self.now)
 
     @property
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
         ours = [name for name in self.ours if name not in self.other]
         theirs = [name for name in self.other if name not in self.ours]
-        if not self.ours:
-            question = f"show {joined(theirs)} of a usual size"
-        elif ours and theirs:
+        if ours and theirs:
             question = f"separate {joined(ours)} from {joined(theirs)}"
         else:
             question = f"show whether {joined(ours or theirs)} acts as well"
@@ -117,19 +114,12 @@ class _Trial:
     differences: Sequence[float]
 
 
-def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool = False) -> list[Separation]:
-    """Return the recording that best separates each rival from the best explanation.
-
-    Parameters
-    ----------
-    nearest : also where nothing fits as well: the explanations that come nearest; with verdict `none` the effects that
-        these runs could not show
-    """
-    alike = rivals_of(diagnosis)
-    rivals = (alike or (_nearest(diagnosis) if nearest else []))[:2]
-    if not rivals:
+def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separation]:
+    """Return the recording that best separates each rival, which fits as well, from the best explanation."""
+    rivals = rivals_of(diagnosis)[:2]
+    if diagnosis.best is None or not rivals:
         return []
-    ours, best = ((), diagnosis.base) if diagnosis.best is None else (diagnosis.best.names, diagnosis.best.fit)
+    ours, best = diagnosis.best.names, diagnosis.best.fit
     now = _differences(replace(diagnosis.estimation, coarse=True), best, rivals, None)
     trials = _trials(problem, diagnosis, best, rivals)
     found, machine = [], problem.machine
@@ -147,7 +137,6 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool 
                 command=command_of(machine, trial.request),
                 gcode=b"".join(gcode_lines(trial.plan, machine, recorder)).decode(),
                 otherwise=separated_by(ours, rival.names),
-                alike=bool(alike),
             )
         )
     return found
@@ -173,23 +162,14 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
     alike = [name for name, _ in confounded_with(best.names, diagnosis.screened)]
     known = {name for h in diagnosis.tried for name in h.names}
     like = [s for s in diagnosis.screened if s.candidate.name in {*alike} - known and len(best.effects) == 1]
-    return rivals + [Rival((s.candidate.name,), _with(diagnosis, s, s.estimate)) for s in like]
+    return rivals + [Rival((s.candidate.name,), _with(diagnosis, s)) for s in like]
 
 
-def _nearest(diagnosis: Diagnosis) -> list[Rival]:
-    """Return the two explanations next to the best; without any, effects that were not visible, of a usual size."""
-    if diagnosis.best is None:
-        unseen = sorted((s for s in diagnosis.screened if not s.visible), key=lambda s: -s.strength)
-        return [Rival((s.candidate.name,), _with(diagnosis, s, np.ones(len(s.estimate)))) for s in unseen[:2]]
-    others = {h.names: h for h in (*diagnosis.competing, *diagnosis.tried) if h.names != diagnosis.best.names}
-    return [Rival(names, h.fit.values) for names, h in others.items()][:2]
-
-
-def _with(diagnosis: Diagnosis, screened: Screened, sizes: FloatArray) -> dict[str, float]:
-    """Return the base fit's values with an effect, its amplitudes (a,) in standard deviations of their priors."""
+def _with(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
+    """Return the base fit's values with an effect, as large as it was estimated."""
     amplitudes = {
         a.name: float(np.clip(a.start + a.sd * x, a.low, a.high))
-        for a, x in zip(screened.candidate.amplitudes, sizes, strict=True)
+        for a, x in zip(screened.candidate.amplitudes, screened.estimate, strict=True)
     }
     return {**diagnosis.base.values, **screened.shape, **amplitudes}
 

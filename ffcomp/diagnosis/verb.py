@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, cast
 
 from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.next_experiment import Separation, separations
+from ffcomp.diagnosis.next_experiment import separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problems import check_recordings, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import DiagnoseRequest
@@ -92,12 +92,6 @@ class Diagnosis(DiagnosisResult, Result):
         text = self.better_file(Path(self.problem.path), self.output.stem, hashes, today)
         check_text(text, str(self.output))
         return text
-
-    def proposals(self) -> Sequence[Separation]:
-        """Propose recordings, also where nothing fits as well; none of an axis by itself, which takes no G-code."""
-        if self.separations or not isinstance(self.problem, PrinterProblem):
-            return self.separations
-        return separations(self.problem, self.search, nearest=True)
 
 
 def _digits(value: Any) -> str:

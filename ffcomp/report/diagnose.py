@@ -39,7 +39,7 @@ KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noi
 
 def page_of(diagnosis: Diagnosis) -> Page:
     """Return the page of a diagnosis."""
-    search, proposals = diagnosis.search, diagnosis.proposals()
+    search, proposals = diagnosis.search, diagnosis.separations
     overlaid = [overlay(each) for each in overlays_of(search.estimation, search.final.values)]
     worst = "Measured and simulated, where they differ most"
     sections = [

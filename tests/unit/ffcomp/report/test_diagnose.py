@@ -91,7 +91,7 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problems, "PrinterProblem", lambda plant, runs, _: PrinterProblem(plant, runs, names))
         patch.setattr(pages, "page_of", lambda given: told.append(given) or page_of(given))
-        patch.setattr(verb, "separations", lambda *_, nearest=False: [PROPOSAL] if nearest else [])
+        patch.setattr(verb, "separations", lambda *_: [PROPOSAL])
         if not drawn:
             patch.setattr("matplotlib.figure.Figure.savefig", save_nothing)
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
@@ -194,12 +194,11 @@ def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
 
 def test_text_from_files_is_escaped(heavy: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     nasty = '"><script>alert(1)</script>$x_1$'
-    told = replace(heavy.told)
+    told = replace(heavy.told, separations=[replace(PROPOSAL, command=nasty, gcode=nasty)])
     for each in told.residuals:
         each.splits["signal"] = replace(each.splits["signal"], labels=(nasty,) * len(each.splits["signal"].labels))
     overlays = [replace(each, recording=nasty) for each in overlays_of(told.search.estimation, {})]
     monkeypatch.setattr(pages, "overlays_of", lambda *_: overlays)
-    monkeypatch.setattr(verb, "separations", lambda *_, **__: [replace(PROPOSAL, command=nasty, gcode=nasty)])
     text = page_of(told).html(told.answer).decode()
     assert "alert(1)" in text and "<script" not in text
 
