@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.identification.frf_study import View, study, verdict
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.drawing import write_figure
 from ffcomp.report.model import bode_figure
+from ffcomp.responses.result import frequency_responses
+from ffcomp.responses.view import View
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
@@ -23,9 +24,9 @@ PLACES = [np.array([0.0, 0.0]), np.array([-80.0, 0.0])]
 
 def main(folder: Path) -> None:
     machine = load_machine("mp-delta-pro")
-    found = study(machine, View(), FREQUENCIES_HZ, [], as_if_measured(machine))
+    found = frequency_responses(machine, View(), FREQUENCIES_HZ, [], as_if_measured(machine))
     write_figure(bode_figure(found), folder / "frf_measured.png")
-    print(verdict(found))
+    print(found.verdict)
 
 
 def as_if_measured(machine: Machine) -> list[FrequencyResponse]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from ffcomp.cli.command import verb
-from ffcomp.identification.request import FrfRequest
 from ffcomp.options import FIGURE
 from ffcomp.request import Request
+from ffcomp.responses.request import FrfRequest
 from ffcomp.result import Result
 
 

@@ -18,12 +18,12 @@ from matplotlib.figure import Figure
 from ffcomp.errors import RequestError
 from ffcomp.identification.belts import BeltComparison
 from ffcomp.identification.direct import Identified
-from ffcomp.identification.frf_study import View, study
 from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
 from ffcomp.identification.page.scan import ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, plain_decades
 from ffcomp.report.page import Page, Section, plain
+from ffcomp.responses.modes import modes_at
 from ffcomp.shapers.calibration import klipper_block
 from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
@@ -100,8 +100,7 @@ def panels_of(identified: Identified) -> Panels:
         Trace(_title(r), r.frequency_hz, r.value, model, float(error), np.sqrt(r.variance), _unit(r))
         for r, model, error in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True)
     ]
-    station = study(machine, View(), traces[0].frequency_hz, [np.array(machine.kinematics.centre_mm)]).stations[0]
-    ringing = [mode for mode in station.modes if mode.rings]
+    ringing = [mode for mode in modes_at(machine, np.array(machine.kinematics.centre_mm)) if mode.rings]
     modes = [(m.frequency_hz, m.frequency_hz, m.frequency_hz, m.damping_ratio, m.kind) for m in ringing]
     return Panels([max(traces, key=lambda trace: trace.error)], modes, traces)
 

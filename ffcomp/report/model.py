@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from textwrap import fill
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ffcomp.identification.frf_study import Station, Study, verdict
 from ffcomp.identification.predict import phases_deg
 from ffcomp.report.drawing import RC, SOFT, grid, layout, plain_decades
+from ffcomp.responses.result import FrequencyResponses, Station
+from ffcomp.responses.view import Pair
 from ffcomp.version import __version__
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
@@ -22,33 +23,22 @@ UNCOUPLED = 1e-9  # of a station's largest response: less is rounding
 WIDTH, ROW, LINE, LETTERS = 7.2, 2.3, 0.17, 88  # inches: readable on a phone, a response, a line of text; its letters
 
 
-class Responses(Protocol):
-    """The answer that is drawn."""
-
-    study: Study
-
-
-def figure_of(responses: Responses) -> Figure:
-    """Draw the responses of the diagonal."""
-    return bode_figure(responses.study)
-
-
-def bode_figure(study: Study) -> Figure:
+def bode_figure(found: FrequencyResponses) -> Figure:
     """Draw a row for each response, and below it the modes at each place, numbered as above the panels."""
-    pairs = study.view.pairs
-    colours = [COLOURS[i % len(COLOURS)] for i in range(len(study.stations))]
-    labels = [fill("  ".join(_said(station)), LETTERS) for station in study.stations]
+    pairs = found.view.pairs
+    colours = [COLOURS[i % len(COLOURS)] for i in range(len(found.stations))]
+    labels = [fill("  ".join(_said(station)), LETTERS) for station in found.stations]
     with matplotlib.rc_context(RC):
         below = LINE * sum(1 + label.count("\n") for label in labels)
         figure = Figure(figsize=(WIDTH, ROW * len(pairs) + below + 0.9), dpi=200, layout=layout())
-        machine = f"{study.machine.name}, machine file sha256 {study.machine.sha256[:12]}, ffcomp {__version__}"
-        text = "\n".join(fill(line, LETTERS) for line in (study.view.title, verdict(study), machine))
+        machine = f"{found.machine.name}, machine file sha256 {found.machine.sha256[:12]}, ffcomp {__version__}"
+        text = "\n".join(fill(line, LETTERS) for line in (found.view.title, found.verdict, machine))
         figure.suptitle(text, x=0.01, ha="left", fontsize=9, parse_math=False)
         rows = figure.subplots(len(pairs), 2, squeeze=False, sharex=True)
         for (left, right), pair in zip(rows, pairs, strict=True):
-            for station, colour in zip(study.stations, colours, strict=True):
-                _curves(left, right, study, station, pair, colour)
-            _marked(left, study, pair)
+            for station, colour in zip(found.stations, colours, strict=True):
+                _curves(left, right, found, station, pair, colour)
+            _marked(left, found, pair)
             right.set_ylabel("phase, °")
             grid(right)
         for axes in rows[-1]:
@@ -58,8 +48,8 @@ def bode_figure(study: Study) -> Figure:
     return figure
 
 
-def _curves(left: Axes, right: Axes, study: Study, station: Station, pair: tuple[int, int], colour: str) -> None:
-    value, f = station.value[:, *pair], study.frequency_hz
+def _curves(left: Axes, right: Axes, found: FrequencyResponses, station: Station, pair: Pair, colour: str) -> None:
+    value, f = station.value[:, *pair], found.frequency_hz
     if np.abs(value).max() < UNCOUPLED * np.abs(station.value).max():
         left.text(0.5, 0.5, "no response", transform=left.transAxes, ha="center", color=colour)
         return
@@ -71,17 +61,17 @@ def _curves(left: Axes, right: Axes, study: Study, station: Station, pair: tuple
             left.plot(each.frequency_hz, np.abs(each.measured), "o", **dots)
             right.plot(each.frequency_hz, phases_deg(each.measured, each.predicted)[0], "o", **dots)
             said = f"{each.magnitude_percent:.0f} % in magnitude, {each.phase_percent:.0f} % in phase"
-            line = 0.9 - 0.12 * study.stations.index(station)
+            line = 0.9 - 0.12 * found.stations.index(station)
             right.text(0.98, line, said, transform=right.transAxes, ha="right", color=colour, fontsize=7)
 
 
-def _marked(axes: Axes, study: Study, pair: tuple[int, int]) -> None:
+def _marked(axes: Axes, found: FrequencyResponses, pair: Pair) -> None:
     """Name the response, and number the modes of the first place at their frequencies."""
-    view = study.view
+    view = found.view
     name = view.rows[pair[0]] if not view.depends_on_place else f"{view.columns[pair[1]]} to {view.rows[pair[0]]}"
-    axes.set(xlim=(study.frequency_hz[0], study.frequency_hz[-1]), ylabel=f"{name}, {view.unit}")
-    for mode in study.stations[0].modes:
-        inside = study.frequency_hz[0] < mode.frequency_hz < study.frequency_hz[-1]
+    axes.set(xlim=(found.frequency_hz[0], found.frequency_hz[-1]), ylabel=f"{name}, {view.unit}")
+    for mode in found.stations[0].modes:
+        inside = found.frequency_hz[0] < mode.frequency_hz < found.frequency_hz[-1]
         if mode.rings and inside and mode.axis in (None, view.rows[pair[0]]):
             axes.axvline(mode.frequency_hz, color=SOFT, linewidth=0.6, linestyle=":")
             axes.text(mode.frequency_hz, 1.01, mode.sign, transform=axes.get_xaxis_transform(), ha="center", fontsize=7)

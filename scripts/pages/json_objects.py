@@ -25,11 +25,11 @@ from ffcomp.compensation.result import Failure
 from ffcomp.diagnosis.result import Interval, Nearest, PartlyExplained
 from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.estimation.statistics import Spent, Statistics
-from ffcomp.identification.frf_study import Bode
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import ALL_OF, IF_ANY, has_keys, keys_of
 from ffcomp.record.plan import Plan
+from ffcomp.responses.result import Bode
 from ffcomp.result import Answer, Result
 from ffcomp.simulation.expectation import Expectation
 from models.checks import Extreme

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.identification.frf_study import study, view_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
+from ffcomp.responses.result import frequency_responses
+from ffcomp.responses.view import view_of
 from models.machine import Machine
 from tests.support.cli import CliRunner, Result
 
@@ -89,7 +90,7 @@ def test_every_kind_of_measurement_is_met_by_its_own_machine(machine: Machine, g
     response = measured(machine, given, answering, 1.25, setup=setup, added_mass_kg=mass, position_mm=place)
     view = view_of(response)
     assert view.of == of
-    found = study(machine, view, FREQUENCIES, [], [response])
+    found = frequency_responses(machine, view, FREQUENCIES, [], [response])
     (station,) = found.stations
     (each,) = station.compared
     np.testing.assert_allclose(each.measured, 1.25 * station.value[:, *each.pair], rtol=1e-9)

@@ -1,0 +1,1 @@
+"""`ffcomp frf`: the model's frequency responses anywhere on the bed, and next to measured ones."""
