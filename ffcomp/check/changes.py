@@ -7,8 +7,9 @@ interpolated. Each experiment may be late by what its clock allows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -26,8 +27,6 @@ from models.effects.catalogue import effects_of, measured
 from models.machine import Machine, value_of, with_values
 
 SPARE_S = 0.4  # simulated before and after
-GUIDES = "ABC"  # each has a belt
-HIGHER, STIFFER, MORE = ("higher", "lower"), ("stiffer", "softer"), ("more", "less")
 AS_NOISE = 1.25  # times the noise: nothing has changed
 SIZES = np.array([-0.6, 0.6])  # of their usual sizes: how far changes are simulated at first
 TRIED, ROUNDS = 3, 3  # changes whose best size is simulated too, and how often
@@ -35,91 +34,71 @@ BEYOND = 2.5  # times the simulated sizes may the best size lie beyond them
 EARLIER_STEPS = 2  # from the machine file to the printer of an earlier check
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Change:
-    """One number of the printer, as a change from the machine file."""
+    """One number of the printer, as a change from the machine file: of an effect in some guides, or of a mode."""
 
     name: str
+    sentence: str  # with {size} and {way}
+    which: FloatArray | float = 1.0  # (3,) guides, marked by 1
+    _: KW_ONLY
+    key: tuple[str, ...]  # effect and parameter; or a number of the machine file alone, which changes by a share
     sd: float  # its usual size, which is how far the printer is from its file
     low: float
     high: float
-    changed: Callable[[Machine, float], Machine]
-    sentence: str  # with {size} and {way}
     unit: str = ""  # empty: a relative change
     scale: float = 100.0  # of the size in the sentence
-    ways: tuple[str, str] = HIGHER
+    ways: tuple[str, str] = ("higher", "lower")
     worth: float | None = None  # a check that would miss so much is inconclusive
     special: bool = False  # a case of others: one belt of all, all belts of modes
+
+    def changed(self, machine: Machine, by: float) -> Machine:
+        """Return the machine with so much more."""
+        effect, *parameter = self.key
+        if not parameter:
+            return with_values(machine, {effect: value_of(machine, effect) * (1.0 + by)})
+        known = machine.effects.get(effect, {})
+        more = np.asarray(known.get(parameter[0], 0.0), dtype=np.float64) + by * self.which
+        return replace(machine, effects={**machine.effects, effect: {**known, parameter[0]: more.tolist()}})
 
     def words(self, value: float) -> str:
         """Say that the printer has changed by so much."""
         return self.sentence.format(size=self.scale * abs(value), way=self.ways[value <= 0])
 
 
-Pair = tuple[SensorSignal, SensorSignal]  # today and then
-
-
 def changes_of(machine: Machine) -> list[Change]:
     """List the possible changes, the simple before the special."""
     modes = [name for name in machine.vibration.tunable if "frequency_hz[" in name or "damping_ratio[" in name]
-    changes = [change for only in (None, *range(3)) for change in _of_guides(machine, only, bool(modes))]
-    if "effector_mass" in effects_of(machine.vibration.moves):
-        heavier, words = _effect("effector_mass", "added_kg"), "the nozzle holder carries {size:.0f} g {way}"
-        changes.append(Change("mass on the nozzle holder", 0.1, -0.3, 1.0, heavier, words, "kg", 1e3, MORE, worth=0.1))
-    if not modes:
-        damped, words = (
-            _effect("guide_damping", "added_n_s_per_m"),
-            "damping is {way}, as by {size:.0f} N s/m per guide",
-        )
-        changes.append(Change("damping of the guides", 15.0, -100.0, 300.0, damped, words, "N s/m", 1.0))
-    return sorted([*changes, *(_mode(machine, name) for name in modes)], key=lambda each: each.special)
-
-
-def _of_guides(machine: Machine, only: int | None, has_modes: bool) -> list[Change]:
-    """Make changes of the belts and of the friction, of all guides or one."""
     rubs = float(np.min(machine.effects.get("coulomb_friction", {}).get("force_n", 0.0)))
     unit = "N/kg" if machine.vibration.per_kilogram else "N"
-    if only is None:
-        belts, guides = "all belts are {size:.0f} % {way}", f"dry friction of the guides is {{size:.1f}} {unit} {{way}}"
-        changed = _effect("belt_stiffness", "relative_change", np.ones(3)), _effect("coulomb_friction", "force_n")
-        return [
-            Change("belts", 0.2, -0.6, 1.5, changed[0], belts, ways=STIFFER, worth=0.1, special=has_modes),
-            Change("friction", 3.0, -rubs, 20.0, changed[1], guides, unit, 1.0, worth=3.0),
-        ]
-    name, alone = GUIDES[only], np.eye(3)[only]
-    belt, guide = (
-        f"belt {name} is {{size:.0f}} % {{way}}",
-        f"dry friction of guide {name} is {{size:.1f}} {unit} {{way}}",
+    belts = partial(
+        Change, key=("belt_stiffness", "relative_change"), sd=0.2, low=-0.6, high=1.5, ways=("stiffer", "softer")
     )
-    changed = _effect("belt_stiffness", "relative_change", alone), _effect("coulomb_friction", "force_n", alone)
+    rubbing = partial(Change, key=("coulomb_friction", "force_n"), sd=3.0, low=-rubs, high=20.0, unit=unit, scale=1.0)
+    more = f"is {{size:.1f}} {unit} {{way}}"
     changes = [
-        Change(f"belt {name}", 0.2, -0.6, 1.5, changed[0], belt, ways=STIFFER, special=True),
-        Change(f"friction {name}", 3.0, -rubs, 20.0, changed[1], guide, unit, 1.0, special=True),
+        belts("belts", "all belts are {size:.0f} % {way}", np.ones(3), worth=0.1, special=bool(modes)),
+        rubbing("friction", f"dry friction of the guides {more}", worth=3.0),
     ]
-    return changes[:1] if has_modes else changes
-
-
-def _mode(machine: Machine, name: str) -> Change:
-    """Make a change of `axes.x.frequency_hz[0]` or its like."""
-    hertz, damping = value_of(machine, name.replace("damping_ratio", "frequency_hz")), "damping_ratio" in name
-
-    def changed(machine: Machine, relative: float) -> Machine:
-        return with_values(machine, {name: value_of(machine, name) * (1.0 + relative)})
-
-    of = f"{'the damping of ' * damping}the mode of {name.split('.')[1]} near {hertz:.0f} Hz"
-    sd, low, high = (0.5, -0.95, 4.0) if damping else (0.1, -0.5, 0.8)
-    return Change(name, sd, low, high, changed, f"{of} is {{size:.0f}} % {{way}}")
-
-
-def _effect(effect: str, key: str, which: FloatArray | float = 1.0) -> Callable[[Machine, float], Machine]:
-    """Return what adds so much to an effect of a machine, in the guides that are marked by 1."""
-
-    def changed(machine: Machine, added: float) -> Machine:
-        known = machine.effects.get(effect, {})
-        more = np.asarray(known.get(key, 0.0), dtype=np.float64) + added * which
-        return replace(machine, effects={**machine.effects, effect: {**known, key: more.tolist()}})
-
-    return changed
+    for guide, alone in zip("ABC", np.eye(3), strict=True):  # each has a belt
+        changes.append(belts(f"belt {guide}", f"belt {guide} is {{size:.0f}} % {{way}}", alone, special=True))
+        if not modes:
+            sentence = f"dry friction of guide {guide} {more}"
+            changes.append(rubbing(f"friction {guide}", sentence, alone, special=True))
+    if "effector_mass" in effects_of(machine.vibration.moves):
+        heavier = partial(Change, key=("effector_mass", "added_kg"), sd=0.1, low=-0.3, high=1.0, unit="kg", scale=1e3)
+        sentence = "the nozzle holder carries {size:.0f} g {way}"
+        changes.append(heavier("mass on the nozzle holder", sentence, ways=("more", "less"), worth=0.1))
+    if not modes:
+        damped = partial(Change, key=("guide_damping", "added_n_s_per_m"), sd=15.0, low=-100.0, high=300.0, scale=1.0)
+        sentence = "damping is {way}, as by {size:.0f} N s/m per guide"
+        changes.append(damped("damping of the guides", sentence, unit="N s/m"))
+    for name in modes:
+        hertz, damping = value_of(machine, name.replace("damping_ratio", "frequency_hz")), "damping_ratio" in name
+        of = f"{'the damping of ' * damping}the mode of {name.split('.')[1]} near {hertz:.0f} Hz"
+        sd, low, high = (0.5, -0.95, 4.0) if damping else (0.1, -0.5, 0.8)
+        changes.append(Change(name, f"{of} is {{size:.0f}} % {{way}}", key=(name,), sd=sd, low=low, high=high))
+    return sorted(changes, key=lambda each: each.special)
 
 
 def expected_signals(machines: Sequence[Machine], experiments: Sequence[Experiment]) -> list[FloatArray]:
@@ -228,8 +207,10 @@ class Difference:
     sensor_share: float  # of the difference, that both explain
 
 
-def compare(machine: Machine, experiments: Sequence[Experiment], pairs: Sequence[Pair]) -> Difference:
-    """Explain what differs between today and then, by changes of the machine of then."""
+def compare(
+    machine: Machine, experiments: Sequence[Experiment], pairs: Sequence[tuple[SensorSignal, SensorSignal]]
+) -> Difference:
+    """Explain the difference of pairs, today and then, by changes of the machine of then."""
     noise = [np.sqrt(now.noise**2 + then.noise**2 + (FROM_DAY_TO_DAY * now.size) ** 2) for now, then in pairs]
     clocks = [float(np.hypot(now.clock_sd_s, then.clock_sd_s)) for now, then in pairs]
     products = _Weighing([then for _, then in pairs], noise, clocks)
