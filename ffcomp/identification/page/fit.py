@@ -90,6 +90,7 @@ DOUBTFUL, MOST_UNEXPLAINED = 0.1, 0.4
 WORST_HELD = 0.5  # posterior over prior: a picture hardly tells a number that it leaves so wide
 LOCAL_MM = 1.5  # over which the waves of a line are averaged
 BEGIN, FINISH = FitSettings(steps=6, gain=1.0), FitSettings(steps=10, rounds=5, gain=0.3)
+SOUGHT = FitSettings(steps=20, gain=1.0)  # of a second mode, from each start: unfinished fits do not compare
 TOWERS = 0.007  # of the logarithm of a frequency at one place: towers that differ by 2 %, and are fitted as one
 FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
 MASS_FLOOR = 0.12  # of a carriage's: it shows along z, which lines hardly do, and is up to a fifth off
@@ -536,7 +537,7 @@ def _with_second_modes(found: FitResult[_Page]) -> FitResult[_Page]:
         second = {axis: (ratio * first[f"axes.{axis}.frequency_hz[0]"], share) for axis, share in more.items()}
         wide = _Page(page.machine, page.lines, page.width_mm, second)
         errors = wide.errors_of(found.residual * found.sd)
-        tried.append(fit(wide, wide.near(found), BEGIN, errors=errors))
+        tried.append(fit(wide, wide.near(found), SOUGHT, errors=errors))
     best, values = tried[0], tried[0].values.copy()
     for axis in more:
         rows = np.repeat([across == axis for across in page.across], np.diff(page.ends, prepend=0))
