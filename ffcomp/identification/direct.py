@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, WEAK_SD, Fitted, fit_machine
-from ffcomp.identification.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.stages import Stage
 from models.kinds import delta_vibration, with_parts
@@ -24,31 +23,12 @@ NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive b
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
 
-@dataclass(frozen=True, eq=False)
-class Identified:
-    """A machine tuned to responses, with advice on parameters that they do not determine."""
-
-    fitted: Fitted
-    kept: tuple[str, ...]  # parameters that stay the starting file's: the data do not determine them
-    advice: tuple[str, ...]
-
-    @property
-    def machine(self) -> Machine:
-        """The tuned machine."""
-        return self.fitted.machine
-
-    @property
-    def determined(self) -> dict[str, Estimate]:
-        """Parameters that the data determined."""
-        return {name: e for name, e in self.fitted.estimates.items() if name not in self.kept}
-
-
 def identify(
     start: Machine,
     responses: Sequence[FrequencyResponse],
     known: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> Identified:
+) -> Fitted:
     """Fit the output error; a starting machine with an ideal drive is tried with a drive filter too.
 
     Raises
@@ -57,17 +37,13 @@ def identify(
         As `fit_machine`.
     """
     commanded = any(r.input.startswith("cmd_") for r in responses)
-    fitted = (
-        _with_drive(start, responses, known, progress)
-        if commanded
-        else fit_machine(start, responses, known, progress=progress)
-    )
+    method = _with_drive if commanded else fit_machine
+    fitted = method(start, responses, known, progress=progress)
     kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
     has_drive = delta_vibration(start).carriage.drive is not None
     before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
-    restored = replace(fitted, machine=with_values(fitted.machine, before))
-    advice = [*fitted.doubt, *advice_on(restored, kept)]
-    return Identified(restored, kept, tuple(advice))
+    restored = replace(fitted, machine=with_values(fitted.machine, before), kept=kept)
+    return replace(restored, advice=(*fitted.advice, *advice_on(restored)))
 
 
 def _with_drive(
@@ -90,9 +66,9 @@ def _with_drive(
 # ---- advice --------------------------------------------------------------------------------------
 
 
-def advice_on(fitted: Fitted, kept: Sequence[str]) -> list[str]:
+def advice_on(fitted: Fitted) -> list[str]:
     """Write a sentence for each group of parameters that is weak or not determined at all."""
-    poor = {*fitted.weak, *kept}
+    poor = {*fitted.weak, *fitted.kept}
     sentences = _of_rotation(fitted)
     if scale_is_weak(fitted):
         poor = {n for n, e in fitted.beside_scale.items() if n not in DRIVE and e.relative_sd > WEAK_SD} | {
@@ -105,7 +81,9 @@ def advice_on(fitted: Fitted, kept: Sequence[str]) -> list[str]:
             f"forces, weigh the effector and give --known {TOTAL_MASS}=KG."
         )
     if poor & set(MASSES):  # parameters that are weak only with the masses need no measurement of their own
-        poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
+        poor -= {
+            n for n, others in fitted.weak.items() if n not in (*fitted.kept, *MASSES) and set(others) & set(MASSES)
+        }
     highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
     if poor & set(MASSES):
         sentences.append(

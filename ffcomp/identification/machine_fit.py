@@ -13,10 +13,10 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axes import IdentifiedAxes
 from ffcomp.identification.belts import BeltComparison
-from ffcomp.identification.direct import Identified, scale_is_weak
+from ffcomp.identification.direct import scale_is_weak
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
-from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS
+from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS, Fitted
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import keys
@@ -100,28 +100,28 @@ class ParametersFit(MachineFit):
 
     method = "direct"
     json_keys = WITH_BELTS | keys(
-        numbers="result.fitted.estimates",
-        delays_s="result.fitted.delays_s",
-        rotation_deg="result.fitted.rotation_deg",
+        numbers="result.estimates",
+        delays_s="result.delays_s",
+        rotation_deg="result.rotation_deg",
         kept="result.kept",
-        weak="result.fitted.weak",
-        misfit="result.fitted.misfit",
-        model_error="result.fitted.model_error",
-        responses="result.fitted.explained",
-        **{"common_scale.sd": "result.fitted.common_scale_sd", "common_scale.numbers": "beside_scale"},
+        weak="result.weak",
+        misfit="result.misfit",
+        model_error="result.model_error",
+        responses="result.explained",
+        **{"common_scale.sd": "result.common_scale_sd", "common_scale.numbers": "beside_scale"},
     )
 
-    result: Identified
+    result: Fitted
 
     @property
     def beside_scale(self) -> Mapping[str, Estimate]:
         """The parameters where the common scale of masses, stiffnesses and dampings is weak, that scale being known."""
-        return self.result.fitted.beside_scale if scale_is_weak(self.result.fitted) else {}
+        return self.result.beside_scale if scale_is_weak(self.result) else {}
 
     @property
     def headline(self) -> str:
         """How many responses are explained, and which one worst."""
-        fitted = self.result.fitted
+        fitted = self.result
         pairs = [(float(e), i) for i, e in enumerate(fitted.model_errors) if e > 0]
         count = len(fitted.responses)
         if not pairs:
@@ -136,7 +136,7 @@ class ParametersFit(MachineFit):
     @property
     def found(self) -> list[Fact]:
         """Every parameter."""
-        fitted, kept = self.result.fitted, self.result.kept
+        fitted, kept = self.result, self.result.kept
         numbers = {key: e for key, e in {**fitted.estimates, **self.beside_scale}.items() if key not in kept}
         unchanged = "unchanged: the data do not determine it"
         return [*number_facts(numbers), *((key, f"{value_of(fitted.machine, key):.5g}, {unchanged}") for key in kept)]
@@ -337,15 +337,14 @@ class Origin:
         return self.text(values | dict(others or {}), uncertainty, notes | dict(provenance or {}), **identified)
 
 
-def machine_file_text(origin: Origin, result: Identified) -> str:
+def machine_file_text(origin: Origin, result: Fitted) -> str:
     """Write the file of all parameters of a delta."""
-    fitted = result.fitted
     return origin.text_of(
         {key: e for key, e in result.determined.items() if key != TOTAL_MASS},
         "fit",
-        responses=len(fitted.responses),
-        misfit_chi_squared_per_degree_of_freedom=float(f"{fitted.misfit:.4g}"),
-        model_error_share=float(f"{fitted.model_error:.3g}"),
+        responses=len(result.responses),
+        misfit_chi_squared_per_degree_of_freedom=float(f"{result.misfit:.4g}"),
+        model_error_share=float(f"{result.model_error:.3g}"),
         kept_from_the_starting_file=list(result.kept),
     )
 

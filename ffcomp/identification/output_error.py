@@ -101,7 +101,13 @@ class Fitted:
     model_errors: FloatArray  # (r,) ε of each response
     responses: Sequence[FrequencyResponse]
     predictions: Sequence[ComplexArray]  # of the fitted machine, delays included
-    doubt: tuple[str, ...] = ()  # a sentence if the fit has not converged
+    kept: tuple[str, ...] = ()  # parameters that stay the starting file's: the data do not determine them
+    advice: tuple[str, ...] = ()  # sentences on the fit, and on parameters that are weak
+
+    @property
+    def determined(self) -> dict[str, Estimate]:
+        """Parameters that the data determined."""
+        return {name: e for name, e in self.estimates.items() if name not in self.kept}
 
     @property
     def model_error(self) -> float:
@@ -343,7 +349,7 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
         model_errors=fitted.errors[: len(problem.responses)],
         responses=problem.responses,
         predictions=problem.model(theta),
-        doubt=tuple(fitted.doubt(f"{len(problem.names)} numbers")),
+        advice=tuple(fitted.doubt(f"{len(problem.names)} numbers")),
     )
 
 

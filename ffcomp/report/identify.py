@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from ffcomp.errors import RequestError
 from ffcomp.identification.belts import BeltComparison
-from ffcomp.identification.direct import Identified
 from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
+from ffcomp.identification.output_error import Fitted
 from ffcomp.identification.page.scan import ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, plain_decades
@@ -93,9 +93,9 @@ def page_of(fit: MachineFit) -> Page:
     return Page(fit.name, [f"method {fit.method}"], sections, replace(fit, output=None).answer)
 
 
-def panels_of(identified: Identified) -> Panels:
+def panels_of(fitted: Fitted) -> Panels:
     """Return the panels of a delta: its worst response, its modes at the centre, and the residual of all responses."""
-    fitted, machine = identified.fitted, identified.machine
+    machine = fitted.machine
     traces = [
         Trace(_title(r), r.frequency_hz, r.value, model, float(error), np.sqrt(r.variance), _unit(r))
         for r, model, error in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True)

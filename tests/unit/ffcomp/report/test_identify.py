@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from ffcomp.identification.direct import Identified
 from ffcomp.identification.machine_fit import ParametersFit
+from ffcomp.identification.output_error import Fitted
 from ffcomp.identification.predict import predicted
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse
@@ -25,7 +25,7 @@ MACHINE = load_machine("mp-delta-pro")
 LINES_HZ = np.arange(5.0, 120.0, 1.0)
 
 
-def identified(errors: float, inputs: str = "ABC") -> Identified:
+def identified(errors: float, inputs: str = "ABC") -> Fitted:
     """A fit of all responses, out of order, with these model errors."""
     empty, ones = np.zeros(len(LINES_HZ), dtype=np.complex128), np.ones(len(LINES_HZ))
     blank = [
@@ -39,8 +39,8 @@ def identified(errors: float, inputs: str = "ABC") -> Identified:
     model_errors[0] = 0.0
     about = {"model_errors": model_errors, "misfit": 1.1, "common_scale_sd": 0.0}
     mass = {"carriage.mass_kg": normal(0.3, 0.01)}
-    fitted = SimpleNamespace(responses=responses, predictions=values, estimates=mass, beside_scale=mass, **about)
-    return cast(Identified, SimpleNamespace(fitted=fitted, machine=MACHINE, kept=()))
+    about |= {"responses": responses, "predictions": values, "estimates": mass, "beside_scale": mass}
+    return cast(Fitted, SimpleNamespace(machine=MACHINE, kept=(), **about))
 
 
 def words(figure: Figure) -> list[str]:
