@@ -59,7 +59,6 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/measurement/test_modes.py",
     "unit/ffcomp/record",
     "unit/ffcomp/report/test_diagnose.py",
-    "unit/ffcomp/report/test_frf.py",
     "unit/ffcomp/report/test_identify.py",
     "unit/ffcomp/shapers/test_calibration.py",
     "unit/gcode/test_reader.py",

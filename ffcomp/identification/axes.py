@@ -135,11 +135,11 @@ WEAKEST = 0.03  # of its largest value: where an axis answers less to its comman
 
 @dataclass(frozen=True, eq=False)
 class Exchange:
-    """How x and y exchange motion, and how much of what was measured that does not explain."""
+    """How x and y exchange motion, and the residual that this leaves."""
 
     delta: Estimate
     turned_rad: dict[str, float]  # of each crossed response, by its name
-    left: float  # amplitude of what is left of the crossed responses beyond noise, over the direct ones'
+    left: float  # amplitude of the crossed responses' residual beyond noise, over the direct ones'
     doubt: tuple[str, ...] = ()  # of a fit that has not converged
 
 
@@ -227,7 +227,7 @@ def _sign(axis: AxisFit, modes: FloatArray) -> float:
 
 
 def _fitted(pairs: Sequence[_Crossed]) -> Exchange:
-    """Fit δ and every κ, and compare what is left of the crossed responses beyond noise with the direct ones."""
+    """Fit δ and every κ, and compare the crossed responses' residual beyond noise with the direct ones."""
     problem = _Exchanging(pairs)
     found = fit(problem, np.zeros(len(problem.unknowns)), FitSettings(rounds=5))
     delta = normal(float(found.values[0]), float(np.sqrt(found.covariance[0, 0])))

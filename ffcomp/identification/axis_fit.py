@@ -32,7 +32,7 @@ WEAK = 0.1  # relative standard deviation: a number beyond it is called weak
 
 @dataclass(frozen=True, eq=False)
 class AxisFitted:
-    """The numbers of an axis with their uncertainties, and what is left of the signals."""
+    """The numbers of an axis with their uncertainties, and the signals' residual."""
 
     estimates: Mapping[str, Estimate]
     before: float  # rms of the error over that of the signals' own motion

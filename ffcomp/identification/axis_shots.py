@@ -178,7 +178,7 @@ def _by_shots(columns: Sequence[NDArray[Any]], length: int) -> NDArray[Any]:
 
 
 def _without(basis: FloatArray, x: FloatArray, known_rows: NDArray[np.bool_]) -> FloatArray:
-    """Return rows x (shots, n) without their parts along a basis (n, k), by what is known of each."""
+    """Return rows x (shots, n) without their parts along a basis (n, k), by the known values of each."""
     out, whole = np.zeros_like(x), known_rows.all(axis=1)
     directions = np.linalg.qr(basis)[0]
     out[whole] = x[whole] - x[whole] @ directions @ directions.T

@@ -108,7 +108,7 @@ def advice_on(fitted: Fitted) -> list[str]:
 
 
 def scale_is_weak(fitted: Fitted) -> bool:
-    """Tell whether what is uncertain is above all the common scale of masses, stiffnesses and dampings."""
+    """Return whether the common scale of masses, stiffnesses and dampings is the main uncertainty."""
     beside = float(np.median([fitted.beside_scale[name].relative_sd for name in SCALED if name in fitted.beside_scale]))
     return fitted.common_scale_sd > max(WEAK_SCALE, 2 * beside)
 

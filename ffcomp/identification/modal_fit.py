@@ -207,7 +207,7 @@ def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
 def _at_the_peak(name: str, wide: _Fit, verdict: str) -> tuple[_Fit, str]:
     """Fit the highest peak by itself where two modes do not hold what the whole band shows.
 
-    Otherwise what is left of other modes pulls the main one off its peak, by up to a tenth. The errors stay those of
+    Otherwise the residual of other modes pulls the main one off its peak, by up to a tenth. The errors stay those of
     the whole band.
     """
     data = wide.problem.data
@@ -293,7 +293,7 @@ def _accepted(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
 
 
 def _unclear(two: _Fit) -> str:
-    """Say what is wrong with a second mode; '' if it may be accepted."""
+    """Say why a second mode is not clear; '' if it may be accepted."""
     sd = np.sqrt(np.diag(two.covariance))
     share, low, high = float(two.values[4]), *_band(two.problem.data)
     other = int(share > 0.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from ffcomp.errors import RequestError
 from ffcomp.options import (
@@ -100,7 +100,7 @@ class IdentifyRequest(Request):
     progress: Callable[[str], None] = silent
 
     def check(self) -> None:
-        """Raise RequestError for what is no axis."""
+        """Raise RequestError for an axis that is none."""
         for axis in self.axis:
             _check_axis(axis)
 

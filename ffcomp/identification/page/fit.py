@@ -2,7 +2,7 @@
 
     minimise  Σ ((y − ŷ(θ, β) − B c) / σ)²  +  the prior's part
 
-y is a stroke's distance from the slow line beside it, ŷ that of the simulated nozzle's bead. The bead is pulled after
+y is a stroke's distance from the slow line next to it, ŷ that of the simulated nozzle's bead. The bead is pulled after
 the nozzle as on a string (drag), rounded over a width, and conserves volume: an axis that rings along the line slows
 the nozzle down there, and the bead, seen between its edges, is up to three times as wide and hides the waves. With one
 width everywhere ŷ was off by half the waves in the first 3 mm of drawn lines, and frequencies by up to 2 %. B c takes
@@ -14,7 +14,7 @@ files seldom name that mode, more is expected: taken for equal, frequencies near
 rings more by a tenth or more, the mode itself is fitted: without it, dampings came out 23 to 28 % low.
 
 The fit starts at each frequency of an axis that rings about as much alike as its best one, and the evidence decides. σ²
-is a line's roughness, by what is left of its calm half, and the model's own error in proportion to the waves around,
+is a line's roughness, by the residual of its calm half, and the model's own error in proportion to the waves around,
 times how many neighbours err alike (effective sample size). Where the machine leaves much of an axis' waves
 unexplained, rings and speeds are free altogether, which shows input shapers and speed factors. Covariances are at least
 as wide as by leaving out strokes.
@@ -115,7 +115,7 @@ class PlaceModes:
 
 @dataclass(frozen=True, eq=False)
 class PageFit:
-    """What a page says of a machine."""
+    """The machine's numbers and the lines that they were fitted to."""
 
     machine: Machine
     estimates: Mapping[str, Estimate]  # of the machine file's numbers
@@ -149,7 +149,7 @@ class PageFit:
 
 @dataclass(frozen=True, eq=False)
 class Number:
-    """A number that a page tells, and what is known of it before."""
+    """A number that a page determines, and its prior."""
 
     name: str
     start: float
@@ -214,7 +214,7 @@ class _Page(EstimationProblem):
         self.weigh([_without_bow(line.across_mm) for line in lines])
 
     def weigh(self, left: Sequence[FloatArray]) -> None:
-        """Take each line's roughness, and how many places are alike, from what is left of its calm half, (n,) mm."""
+        """Take each line's roughness, and how many places are alike, from its calm half's residual, (n,) mm."""
         parts = [each[_calm(line)] for line, each in zip(self.lines, left, strict=True)]
         rough = [max(float(np.sqrt(np.mean(part**2))), LEAST_ROUGH_MM) for part in parts]
         self.observations = [_observed(line, each) for line, each in zip(self.lines, rough, strict=True)]
@@ -329,7 +329,7 @@ def _axis(line: ReadLine) -> str:
 
 
 def _open(seen: FloatArray, drawn: FloatArray, sd: FloatArray) -> FloatArray:
-    """Return what is taken for the line's own place, (n,) mm: of lines (n,) mm as seen and as drawn."""
+    """Return the error of the line's own place, (n,) mm: of lines (n,) mm as seen and as drawn."""
     u = np.linspace(-1, 1, len(seen))
     basis = np.column_stack(
         [np.ones(len(u)), u, u**2 - 1 / 3, u**3 - 0.6 * u, LINE_SHIFT_MM * np.gradient(drawn, STEP_MM)]

@@ -1,4 +1,4 @@
-"""Centre lines of strokes in pictures of a page, each as its distance from the slow line beside it.
+"""Centre lines of strokes in pictures of a page, each as its distance from the slow line next to it.
 
 A line is sampled across every 0.1 mm; its middle is the centroid of the ink. The slow line's own deviation, smoothed
 over 1 mm, is what scanner, lens and paper do there; it is subtracted from the stroke's at the same line of the scanner.
@@ -31,7 +31,7 @@ WOBBLE_MM, WOBBLE_NOISE_MM, WOBBLE_LENGTH_MM = 0.2, 0.008, 4.0  # of a scanner's
 
 @dataclass(frozen=True, eq=False)
 class ReadLine:
-    """A stroke's line as it was drawn: n places along it."""
+    """A stroke's drawn line: n places along it."""
 
     stroke: Experiment
     line: Line

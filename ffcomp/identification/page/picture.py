@@ -2,7 +2,7 @@
 
 File -> contrast of ink to paper -> discs -> which disc is which (an affine map of three, then a perspective of all) ->
 perspective and the lens' distortion by least squares. Whatever scanner, lens and paper do beyond that is smooth enough
-to shift a stroke and the slow line beside it alike (`lines.py`).
+to shift a stroke and the slow line next to it alike (`lines.py`).
 """
 
 from __future__ import annotations

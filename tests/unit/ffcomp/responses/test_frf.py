@@ -88,9 +88,8 @@ def test_every_kind_of_measurement_is_met_by_its_own_machine(machine: Machine, g
     mass = 0.2 if setup == "carriage+mass" else 0.0
     place = (60.0, -20.0, 30.0) if setup == "assembly" else None
     response = measured(machine, given, answering, 1.25, setup=setup, added_mass_kg=mass, position_mm=place)
-    view = view_of(response)
-    assert view.of == of
-    found = frequency_responses(machine, view, FREQUENCIES, [], [response])
+    found = frequency_responses(machine, view_of(response), FREQUENCIES, [], [response])
+    assert found.view.of == of
     (station,) = found.stations
     (each,) = station.compared
     np.testing.assert_allclose(each.measured, 1.25 * station.value[:, *each.pair], rtol=1e-9)
