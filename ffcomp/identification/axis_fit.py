@@ -12,7 +12,7 @@ import numpy as np
 from ffcomp.errors import RequestError
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
 from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
-from ffcomp.identification.uncertainty import Estimate, Joint
+from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.inference.fit import FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -122,16 +122,14 @@ def fitted_axis(start: Machine, runs: Sequence[AxisRun], known: Mapping[str, tup
     problem = _Problem(start, shots, [n for n in names if n not in kept_of(start, known)], known)
     first = np.array([value_of(start, n) for n in problem.names]) / problem.scale
     found = fit(problem, first, FINAL)
-    joint = Joint(
-        tuple(problem.names),
-        found.values * problem.scale,
-        found.covariance * np.outer(problem.scale, problem.scale),
-    )
+    sd = np.sqrt(np.diag(found.covariance)) * problem.scale
+    each = zip(problem.names, (found.values * problem.scale).tolist(), sd.tolist(), strict=True)
+    estimates = {name: normal(value, spread) for name, value, spread in each}
     before, after = (
         float(np.sqrt(np.mean(simulated[: -len(known) or None] ** 2)))
         for simulated in (problem.measured - each for each in problem.simulate([first, found.values]))
     )
-    return AxisFitted(joint.estimates, before, after, tuple(found.doubt(start.name)))
+    return AxisFitted(estimates, before, after, tuple(found.doubt(start.name)))
 
 
 class _Problem(EstimationProblem):

@@ -102,7 +102,13 @@ def gather(
         if isinstance(each, Capture) and each.overflows
     ]
     for test, axis in _with_axes(tests, list(shaken_axis), gathered.skipped):
-        _take(test, axis, column or _named_column(test, shaken_axis), band_hz, gathered)
+        read = read_test(test, axis, band_hz, column or _named_column(test, shaken_axis))
+        if isinstance(read, str):
+            gathered.skipped.append(read)
+        elif isinstance(read, BeltTest):
+            gathered.belts.append(read)
+        else:
+            gathered.shaken.append(read)
     if not machine.vibration.position_dependent:
         gathered.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
         recordings = []
@@ -144,23 +150,6 @@ def _named_column(test: TestFile, stated: Sequence[str]) -> str | None:
     if not isinstance(test, Resonances) or test.by_axis or len(stated) != 1:
         return None
     return stated[0] if stated[0] in test.psd else None
-
-
-def _take(
-    test: TestFile,
-    axis: str | None,
-    column: str | None,
-    band_hz: tuple[float, float],
-    gathered: Gathered,
-) -> None:
-    """Add a resonance test to what the files hold."""
-    read = read_test(test, axis, band_hz, column)
-    if isinstance(read, str):
-        gathered.skipped.append(read)
-    elif isinstance(read, BeltTest):
-        gathered.belts.append(read)
-    else:
-        gathered.shaken.append(read)
 
 
 def _by_position(

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 
 from ffcomp.errors import MeasurementError, SolverError
 from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, fit_machine
-from ffcomp.identification.uncertainty import Joint
+from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.inference.fit import FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
@@ -50,6 +50,24 @@ SURE_FREEDOM = 5  # degrees of freedom: with as many, a large χ² widens the in
 WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
 ITERATIONS = 30  # of the linear step: it either converges in ten or never
 OUTPUT_ERROR = FitSettings(steps=200, gain=1e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Several values and their covariance, by name."""
+
+    names: tuple[str, ...]
+    values: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[self.names.index(name)])
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Each value by itself."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return {name: normal(float(v), float(s)) for name, v, s in zip(self.names, self.values, sd, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)

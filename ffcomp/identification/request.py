@@ -101,8 +101,14 @@ class IdentifyRequest(Request):
 
     def check(self) -> None:
         """Raise RequestError for an axis that is none."""
+        from ffcomp.identification.resonance_tests import direction_of
+
         for axis in self.axis:
-            _check_axis(axis)
+            try:
+                direction_of(axis)
+            except ValueError:
+                rule = "it is x, y, z, or a direction of x and y such as 1,-1 or 0.866,-0.5"
+                raise RequestError(f"--axis {axis!r}: {rule}.") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,13 +210,3 @@ class UpdateRequest(Request):
     def history_file(self) -> Path:
         """The history."""
         return self.history or self.output.with_suffix(".updates.jsonl")
-
-
-def _check_axis(text: str) -> None:
-    from ffcomp.identification.resonance_tests import direction_of
-
-    try:
-        direction_of(text)
-    except ValueError:
-        rule = "it is x, y, z, or a direction of x and y such as 1,-1 or 0.866,-0.5"
-        raise RequestError(f"--axis {text!r}: {rule}.") from None

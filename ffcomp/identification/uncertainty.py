@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.arrays import FloatArray
-
 NINETY_PERCENT = 1.6449  # standard deviations to each side
 
 
@@ -43,21 +41,3 @@ def lognormal(value: float, log_sd: float) -> Estimate:
     """Estimate a positive quantity; `log_sd` is the relative standard uncertainty."""
     factor = float(np.exp(min(NINETY_PERCENT * log_sd, 50.0)))
     return Estimate(value, value * log_sd, value / factor, value * factor)
-
-
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """Several values and their covariance, by name."""
-
-    names: tuple[str, ...]
-    values: FloatArray  # (p,)
-    covariance: FloatArray  # (p, p)
-
-    def __getitem__(self, name: str) -> float:
-        return float(self.values[self.names.index(name)])
-
-    @property
-    def estimates(self) -> dict[str, Estimate]:
-        """Each value by itself."""
-        sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return {name: normal(float(v), float(s)) for name, v, s in zip(self.names, self.values, sd, strict=True)}
