@@ -30,7 +30,6 @@ OFF: Mapping[str, SearchSettings] = {
     "several effects next to each": replace(SETTINGS, tried=2),
     "other forms of an effect": replace(SETTINGS, forms=0),
     "a share that an added effect must remove": replace(SETTINGS, added_share=0.0),
-    "a number of the file far off asks for an effect": replace(SETTINGS, odd_sd=np.inf),
     "an excerpt of long recordings": replace(SETTINGS, excerpt_information=np.inf),
     "coarse simulations": replace(SETTINGS, coarse_error=0.0),
     "the loudest motions first": replace(SETTINGS, subset_worth=0.0),

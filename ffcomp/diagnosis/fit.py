@@ -30,6 +30,7 @@ from ffcomp.inference.problem import Observation, Unknown
 from models.arrays import FloatArray
 
 BLOCK_HZ = 5.0  # over which the residual of a wrong shape keeps its sign
+KEPT = 48  # residuals of the last values: a fit begins where the one before has ended
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
 STEP = 0.01  # of a prior's standard deviation, for differences
 LEAST_GAIN, SMALL_GAIN = 0.3, 1e-7  # of |r|², times φ; of what stands above the noise: a fit ends with less to gain
@@ -39,25 +40,6 @@ DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are no
 # ---- the residual --------------------------------------------------------------------------------
 
 _Key = tuple[frozenset[tuple[str, float]], tuple[int, ...] | None, bool]
-
-
-class ResidualCache:
-    """The residuals of the last few sets of values: a fit begins where the one before has ended."""
-
-    def __init__(self) -> None:
-        self._kept: dict[_Key, FloatArray] = {}
-
-    def get(self, key: _Key) -> FloatArray | None:
-        """Return the residual with these values, if it is known."""
-        return self._kept.get(key)
-
-    def add(self, key: _Key, residual: FloatArray) -> FloatArray:
-        """Keep a residual as the newest, and return it."""
-        self._kept.pop(key, None)
-        for old in list(self._kept)[:-47]:
-            del self._kept[old]
-        self._kept[key] = residual
-        return residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +56,7 @@ class EstimationProblem:
     tolerance: float = SETTINGS.known_noise  # of the noise: a smaller discrepancy counts as none
     share: float = 1.0  # of all data
     only: tuple[int, ...] | None = None  # observations that are simulated; None: all
-    cache: ResidualCache = field(default_factory=ResidualCache)  # shared by all derived from this one on the same data
+    cache: dict[_Key, FloatArray] = field(default_factory=dict)  # shared by all derived from this one on the same data
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """Return measured − simulated, whitened: (rows,)."""
@@ -87,7 +69,11 @@ class EstimationProblem:
         cached = [self.cache.get(key) for key in keys]
         new = self._evaluated([values for values, known in zip(points, cached, strict=True) if known is None])
         for key, known in zip(keys, cached, strict=True):
-            yield self.cache.add(key, next(new) if known is None else known)
+            self.cache.pop(key, None)
+            for old in list(self.cache)[: 1 - KEPT]:
+                del self.cache[old]
+            self.cache[key] = next(new) if known is None else known
+            yield self.cache[key]
 
     def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         infeasible = np.full(len(self.measured), INFEASIBLE_SD)
@@ -120,7 +106,7 @@ class EstimationProblem:
         share = self.share * len(measured) / len(self.measured)
         return replace(self, measured=measured, only=tuple(observations), share=share)
 
-    def rows_of(self, observations: Sequence[int]) -> FloatArray:
+    def rows_of(self, observations: Sequence[int]) -> NDArray[np.int64]:
         """Return the indices of the rows of some observations."""
         parts = [self.whiten.rows[i] for i in observations]
         return np.concatenate([np.arange(part.start, part.stop) for part in parts])
@@ -130,7 +116,7 @@ class EstimationProblem:
         whiten = whitener(problem.observations, self.whiten.floor, self.whiten.band_hz)
         measured = whiten([o.measured for o in problem.observations])
         share = self.share * len(measured) / len(self.measured)
-        return replace(self, problem=problem, whiten=whiten, measured=measured, share=share, cache=ResidualCache())
+        return replace(self, problem=problem, whiten=whiten, measured=measured, share=share, cache={})
 
 
 def estimation_problem(

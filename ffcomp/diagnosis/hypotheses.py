@@ -9,7 +9,6 @@ import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped
 from ffcomp.diagnosis.problem import Candidate, Parameter
-from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.numerics.stages import Now, Progress
 from models.arrays import FloatArray
@@ -167,24 +166,6 @@ def competing_with(
         for h in others
         if best.fit.ahead_of(h.fit) / share < 2 * settings.significant or h.discrepancy < settings.trace * gap
     ]
-
-
-# ---- the file's numbers --------------------------------------------------------------------------
-
-
-def moved_numbers(fitted: Fit, machine_count: int | None = None) -> list[tuple[str, float]]:
-    """Return by how many of its uncertainties each of the file's numbers moved, among the first parameters.
-
-    The clocks of recordings count together, by what they have in common: many that stay where they are would hide two
-    numbers that do not, and a machine that is late makes all recordings a little late.
-    """
-    moved = [(n.name, float(z)) for n, z in zip(fitted.parameters[:machine_count], fitted.z, strict=False)]
-    clocks: dict[str, list[float]] = {}
-    for name, z in moved:
-        if belongs_to_recording(name):
-            clocks.setdefault(f"{name.rpartition('.')[2]} of all recordings", []).append(z)
-    common = [(name, abs(sum(each)) / len(each) ** 0.5) for name, each in clocks.items() if len(each) > 1]
-    return [*((name, abs(z)) for name, z in moved if not belongs_to_recording(name)), *common]
 
 
 # ---- the remaining discrepancy -------------------------------------------------------------------

@@ -31,7 +31,6 @@ from ffcomp.diagnosis.hypotheses import (
     log_fit,
     log_try,
     may_join,
-    moved_numbers,
     significant,
     worth,
 )
@@ -108,7 +107,7 @@ def find_best(search: Search) -> Selection:
         if not beam or not _gains(search, beam[0], best):
             break
         best = beam[0]
-    return Selection(best, tuple(tried), left_nothing=not incomplete(search, best))
+    return Selection(best, tuple(tried), left_nothing=not leaves_excess(search.estimation, best.fit))
 
 
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
@@ -123,16 +122,10 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
     return elsewhere
 
 
-def incomplete(search: Search, h: Hypothesis) -> bool:
-    """Tell whether a discrepancy is left somewhere, or a number of the file is oddly far off."""
-    odd = any(z > search.settings.odd_sd for _, z in moved_numbers(h.fit, h.machine_count))
-    return odd or leaves_excess(search.estimation, h.fit)
-
-
 def _asks_for_more(search: Search, h: Hypothesis) -> bool:
     """Tell whether another effect is looked for: more is left than the formulas of those named may leave."""
     inexact = h.discrepancy < search.settings.trace * search.retuned.discrepancy
-    return incomplete(search, h) and not inexact
+    return leaves_excess(search.estimation, h.fit) and not inexact
 
 
 # ---- expand --------------------------------------------------------------------------------------
@@ -270,19 +263,9 @@ def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
     fitted: list[Hypothesis] = []
     for h in chosen:
         if not fitted or search.may_go_on:
-            fitted.append(_fitted(search, h))
+            fitted.append(continue_fit(search.estimation, h, search.progress))
     fitted, near = likeliest(fitted), search.settings.near
     return likeliest([reshape(search, h) if comparable(h, fitted[0], near, search.settings) else h for h in fitted])
-
-
-def _fitted(search: Search, h: Hypothesis) -> Hypothesis:
-    """Fit fully; with exact derivatives where only the prior of the file's numbers is left to gain.
-
-    Numbers that make up for each other drift along flat directions, which only exact derivatives show.
-    """
-    h = continue_fit(search.estimation, h, search.progress)
-    drifted = incomplete(search, h) and not leaves_excess(search.estimation, h.fit)
-    return fit_exactly(search.estimation, h, search.progress) if drifted else h
 
 
 def reshape(search: Search, h: Hypothesis) -> Hypothesis:
@@ -291,7 +274,7 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
     A form has other numbers free: its usual shape, a number for each tower, a law that contains it.
     """
     share = search.settings.reshaped_share
-    while incomplete(search, h) and search.may_go_on:
+    while leaves_excess(search.estimation, h.fit) and search.may_go_on:
         best = h
         for start in _richer(search, h):
             fitted = continue_fit(search.estimation, start, search.progress, ", in another form", h.machine_jacobian)
@@ -477,8 +460,12 @@ def on_all_data(search: Search, selection: Selection) -> Selection | None:
 
     best = on_all(selection.best)
     trace = search.settings.trace * search.retuned.discrepancy
-    tolerant = replace(search, estimation=replace(search.estimation, tolerance=max(search.estimation.tolerance, trace)))
-    if selection.left_nothing and incomplete(tolerant, best) and len(best.effects) < search.settings.most_effects:
+    tolerant = replace(search.estimation, tolerance=max(search.estimation.tolerance, trace))
+    if (
+        selection.left_nothing
+        and leaves_excess(tolerant, best.fit)
+        and len(best.effects) < search.settings.most_effects
+    ):
         return None
     near = [on_all(h) for h in rivals(search, selection.best, selection)[:1]]
     return Selection(best, (best, *near))

@@ -21,7 +21,6 @@ def _setting(default: Any, unit: str, meaning: str, origin: str = BANK) -> Any:
 class SearchSettings:
     """What the search tries, prunes, accepts and refuses by."""
 
-    # ---- candidates ----
     # ---- is there a discrepancy ----
     exists: float = _setting(0.05, "noise power", "a smaller discrepancy is none; added where two are compared")
     known_noise: float = _setting(0.1, "noise power", "tolerance where repeats give the noise", "spread of repeats")
@@ -41,9 +40,6 @@ class SearchSettings:
     starts: int = _setting(2, "sizes", "of each, from which it is fitted")
     forms: int = _setting(2, "forms", "of an effect that are fitted in place of the present one")
     near: float = _setting(5.0, "ratio", "to the best discrepancy, up to which one is reshaped and expanded")
-    odd_sd: float = _setting(
-        3.5, "standard deviations", "of a number of the file, from which an effect may be why", "normal"
-    )
     # ---- ladder of fidelity ----
     visible_sd: float = _setting(3.0, "standard deviations", "score of a usual size that recordings could show")
     subset_worth: float = _setting(0.7, "of the motions", "a subset of more saves too little", "time")
