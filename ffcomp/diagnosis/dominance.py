@@ -11,33 +11,32 @@ place otherwise, and a frequency that is off there by a little would hide whatev
 
 An effect that is only the nearest wrong one fails these: another is nearly as near, or its size would have to change
 from place to place, so that what is left has its signature.
+
+Where each signal is compared by itself, as of a motor and its load, what one leaves says nothing of another: the
+friction of a motor is no reason against the coupling that explains all that its load does. There each signal is judged
+alone too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ffcomp.diagnosis.acceptance import unfounded
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of, solved
-from ffcomp.diagnosis.held_out import (
-    Groups,
-    HeldOut,
-    by_place,
-    hold_out,
-    motions_or_groups,
-    residual_left_out,
-    simulate_left_out,
-    to_explain,
-)
+from ffcomp.diagnosis.held_out import by_place, motions_or_groups, residual_left_out, simulate_left_out
 from ffcomp.diagnosis.hypotheses import Hypothesis, likeliest
+from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
 MOST_FAMILIES = 3  # that are compared
+
+Scope = NDArray[np.bool_]  # (rows,) by which an effect is judged
 
 
 @dataclass(frozen=True)
@@ -55,21 +54,26 @@ class Dominant:
     hypothesis: Hypothesis  # of one effect
     explained: float  # share of the discrepancy where it was left out of the fit
     rivals: tuple[Rival, ...]  # the best first
+    signal: str = ""  # the only one in which it does; "": in all together
 
 
 @dataclass(frozen=True, eq=False)
-class _Tested:
-    """A hypothesis where it was left out of the fit."""
+class _LeftOut:
+    """What a fit leaves where it was left out: the residual of each group, and its rows."""
 
-    hypothesis: Hypothesis
-    left: FloatArray  # (groups,) of |r|² beyond noise
-    alike: float  # share of what is left that has the effects' signature
+    rows: Sequence[NDArray[np.int64]]
+    residual: Sequence[FloatArray]
+
+    def left(self, scope: Scope) -> FloatArray:
+        """Return |r|² beyond noise, (groups,)."""
+        parts = [r[scope[rows]] for rows, r in zip(self.rows, self.residual, strict=True)]
+        return np.array([max(float(r @ r) - len(r), 0.0) for r in parts])
 
 
 def dominant_effect(
     estimation: EstimationProblem, base: Fit, tried: Sequence[Hypothesis], best: Hypothesis, progress: Progress
 ) -> Dominant | None:
-    """Return the effect that holds most of the discrepancy, if one does.
+    """Return the effect that holds most of the discrepancy, if one does, or of one signal's.
 
     Parameters
     ----------
@@ -77,69 +81,130 @@ def dominant_effect(
     tried : hypotheses of the same data
     best : it may be of several effects; where it leaves far less, one that holds most is among them
     """
-    contenders = _contenders([h for h in tried if len(h.fit.residual) == len(base.residual)])
-    parts = motions_or_groups(estimation.problem)
-    if not contenders or len(parts) < 2:
+    single = [h for h in tried if len(h.fit.residual) == len(base.residual) and len(h.effects) == 1]
+    if not single or len(motions_or_groups(estimation.problem)) < 2:
         return None
-    if min(h.discrepancy for h in contenders) > (1 - estimation.settings.dominant / 2) * base.discrepancy:
-        return None  # even where they were fitted, none explains half of what one must elsewhere
+    whiten, names = estimation.whiten, sorted({s for o in estimation.whiten.observations for s in o.signals})
+    scopes = {"": np.ones(len(base.residual), dtype=bool)}
+    if estimation.problem.by_signal and len(names) > 1:
+        scopes |= {name: whiten.of_signal(name) for name in names}
     progress("nothing explains all of it: looking for what explains most")
-    # an interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess
-    sound = [h for h in contenders if not unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True))]
-    if not sound:
-        return None
-    held_out = hold_out(estimation, base, base, parts, retuned=by_place(estimation))
-    whole, ahead = to_explain(held_out), estimation.settings.ahead
-    ranked = sorted((_tested(estimation, h, parts) for h in sound), key=lambda each: float(each.left.sum()))
-    first = _simplest(
-        [each for each in ranked if _law_group(each.hypothesis) == _law_group(ranked[0].hypothesis)], ahead
-    )
-    others = [each for each in ranked if _law_group(each.hypothesis) != _law_group(first.hypothesis)]
-    explained = [1 - float(each.left.sum()) / whole for each in (first, *others)]
-    for each in ranked:
-        share = 100 * (1 - float(each.left.sum()) / whole)
-        progress(
-            f"{each.hypothesis.names[0]} explains {share:.0f} % of what it was not fitted to; "
-            f"{100 * each.alike:.0f} % of the rest looks like it"
+    asked = _Asked(estimation, base, single, best, progress)
+    found = [each for signal, scope in scopes.items() if (each := asked.dominant(signal, scope)) is not None]
+    return max(found, key=lambda each: (not each.signal, each.explained), default=None)
+
+
+class _Asked:
+    """The single effects that were tried, as they explain what was left out of their fits."""
+
+    def __init__(
+        self, estimation: EstimationProblem, base: Fit, single: Sequence[Hypothesis], best: Hypothesis, log: Progress
+    ) -> None:
+        self.estimation, self.base, self.best, self.log = estimation, base, best, log
+        self.single = list({h.names: h for h in reversed(likeliest(single))}.values())  # the likeliest of each effect
+        self.parts = list(motions_or_groups(estimation.problem).values())
+        self.known: dict[str, _LeftOut] = {}
+
+    def left_out(self, name: str, fitted: Fit) -> _LeftOut:
+        """Return what a fit leaves in each group, fitted to the others."""
+        if name not in self.known:
+            retuned = by_place(self.estimation)
+            answers = [simulate_left_out(self.estimation, fitted, members, retuned) for members in self.parts]
+            self.known[name] = self._compared(answers)
+        return self.known[name]
+
+    def _compared(self, answers: Sequence[Sequence[FloatArray]]) -> _LeftOut:
+        each = list(zip(answers, self.parts, strict=True))
+        residual = [residual_left_out(self.estimation, simulated, members) for simulated, members in each]
+        return _LeftOut([self.estimation.rows_of(members) for members in self.parts], residual)
+
+    def whole(self, scope: Scope) -> float:
+        """Return what there is to explain: by the better of the file, of retuning, and of standing still."""
+        filed = self._compared([self.estimation.problem.simulate({}, members) for members in self.parts])
+        still = _LeftOut(filed.rows, [self.estimation.measured[rows] for rows in filed.rows])
+        return min(float(one.left(scope).sum()) for one in (self.left_out("", self.base), filed, still))
+
+    def dominant(self, signal: str, scope: Scope) -> Dominant | None:
+        """Return the effect that holds most of the discrepancy of one signal, or of all."""
+        settings, ahead = self.estimation.settings, self.estimation.settings.ahead
+        contenders = self._contenders(scope)
+        if min(_excess(h, scope) for h in contenders) > (1 - settings.dominant / 2) * _of(self.base.residual[scope]):
+            return None  # even where they were fitted, none explains half of what one must elsewhere
+        # an interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess
+        sound = [h for h in contenders if not unfounded(h, self._intervals(h))]
+        if not sound:
+            return None
+        whole, left = self.whole(scope), {h.names: self.left_out(h.names[0], h.fit).left(scope) for h in sound}
+        ranked = sorted(sound, key=lambda h: float(left[h.names].sum()))
+        laws = [h for h in ranked if _cause(h) == _cause(ranked[0])]
+        first = _simplest(laws, left, ahead)
+        others = [h for h in ranked if _cause(h) != _cause(first)]
+        explained = {h.names: 1 - float(left[h.names].sum()) / whole for h in ranked}
+        alike = {h.names: self._alike(h, scope) for h in ranked}
+        for h in ranked:
+            self.log(
+                f"{h.names[0]} explains {100 * explained[h.names]:.0f} % of what it was not fitted to"
+                f"{f' in {signal}' if signal else ''}; {100 * alike[h.names]:.0f} % of the rest looks like it"
+            )
+        if (
+            explained[first.names] < settings.dominant
+            or self._better_without(first, scope)
+            or alike[ranked[0].names] > settings.signature  # of the law that leaves least: others' shapes are left
+            or not all(_ahead(left[first.names], left[other.names], ahead) for other in others)
+            or not self._everywhere(left[first.names], scope, whole)
+        ):
+            return None
+        return Dominant(
+            first, explained[first.names], tuple(Rival(o.names, explained[o.names]) for o in others), signal
         )
-    if (
-        explained[0] < estimation.settings.dominant
-        or _better_without(best, first.hypothesis, ahead)
-        or ranked[0].alike > estimation.settings.signature  # of the law that leaves least: others' shapes are left
-        or not all(_ahead(first, other.left, ahead) for other in others)
-        or not _everywhere(first, held_out, whole, ahead)
-    ):
-        return None
-    rivals = tuple(Rival(o.hypothesis.names, x) for o, x in zip(others, explained[1:], strict=True))
-    return Dominant(first.hypothesis, explained[0], rivals)
+
+    def _intervals(self, h: Hypothesis) -> dict[str, Estimate]:
+        return intervals_of(self.estimation, h.fit, h.fit.values, scatter=True)
+
+    def _contenders(self, scope: Scope) -> list[Hypothesis]:
+        """Return the single effects to test: of the families that leave least the best, of the first all its laws."""
+        ranked = sorted(self.single, key=lambda h: _excess(h, scope))
+        causes = list(dict.fromkeys(_cause(h) for h in ranked))[:MOST_FAMILIES]
+        laws = [h for h in ranked if _cause(h) == causes[0]]
+        return [*laws, *(next(h for h in ranked if _cause(h) == each) for each in causes[1:])]
+
+    def _better_without(self, first: Hypothesis, scope: Scope) -> bool:
+        """Tell whether the best explanation does without the family, and leaves far less."""
+        without = _cause(first) not in self.best.causes and len(self.best.fit.residual) == len(scope)
+        return without and self.estimation.settings.ahead * _excess(self.best, scope) < _excess(first, scope)
+
+    def _alike(self, h: Hypothesis, scope: Scope) -> float:
+        """Return the share of what is left that has the effect's signature, of chance none."""
+        alike, total, left = 0.0, 0.0, self.left_out(h.names[0], h.fit)
+        for rows, residual in zip(left.rows, left.residual, strict=True):
+            inside = scope[rows]
+            alike += _explained_by(h, rows[inside], residual[inside])
+            total += float(residual[inside] @ residual[inside])
+        return alike / max(total, 1e-300)
+
+    def _everywhere(self, left: FloatArray, scope: Scope, whole: float) -> bool:
+        """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
+        before = self.left_out("", self.base).left(scope)
+        return _ahead(left, before * whole / max(before.sum(), 1e-300), self.estimation.settings.ahead)
 
 
-def _contenders(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the single effects to test: of the families that leave least the best, of the first all its laws."""
-    best: dict[str, Hypothesis] = {}
-    for h in likeliest(tried):
-        if len(h.effects) == 1:
-            best.setdefault(h.names[0], h)
-    ranked = sorted(best.values(), key=lambda h: h.discrepancy)
-    groups = list(dict.fromkeys(_law_group(h) for h in ranked))[:MOST_FAMILIES]
-    laws = [h for h in ranked if groups and _law_group(h) == groups[0]]
-    return [*laws, *(next(h for h in ranked if _law_group(h) == each) for each in groups[1:])]
+def _of(residual: FloatArray) -> float:
+    return float(residual @ residual) - len(residual)
 
 
-def _better_without(best: Hypothesis, first: Hypothesis, ahead: float) -> bool:
-    """Tell whether the best explanation does without the family, and leaves far less."""
-    without = _law_group(first) not in {CATALOGUE[name].cause for name in best.names}
-    return without and ahead * best.discrepancy < first.discrepancy
+def _excess(h: Hypothesis, scope: Scope) -> float:
+    """Return |r|² beyond noise where it was fitted, with what the prior costs."""
+    return _of(h.fit.residual[scope]) + h.fit.cost - h.fit.chi_squared
 
 
-def _law_group(h: Hypothesis) -> str:
+def _cause(h: Hypothesis) -> str:
     return CATALOGUE[h.names[0]].cause
 
 
-def _simplest(laws: Sequence[_Tested], ahead: float) -> _Tested:
+def _simplest(laws: Sequence[Hypothesis], left: Mapping[tuple[str, ...], FloatArray], ahead: float) -> Hypothesis:
     """Return the law of fewest numbers that no other leaves far behind; `laws` : the one that leaves least first."""
-    few = sorted(laws, key=lambda each: _needed(each.hypothesis))
-    return next(each for each in few if each.left.sum() <= ahead * laws[0].left.sum())
+    few = sorted(laws, key=_needed)
+    return next(h for h in few if left[h.names].sum() <= ahead * left[laws[0].names].sum())
 
 
 def _needed(h: Hypothesis) -> int:
@@ -147,18 +212,7 @@ def _needed(h: Hypothesis) -> int:
     return sum(p.role == "amplitude" or p.default is None for p in CATALOGUE[h.names[0]].parameters)
 
 
-def _tested(estimation: EstimationProblem, h: Hypothesis, parts: Groups) -> _Tested:
-    left, alike, total = [], 0.0, 0.0
-    for members in parts.values():
-        simulated = simulate_left_out(estimation, h.fit, members, retuned=by_place(estimation))
-        residual, rows = residual_left_out(estimation, simulated, members), estimation.rows_of(members)
-        squares = float(residual @ residual)
-        left.append(max(squares - len(rows), 0.0))
-        alike, total = alike + _explained_by(h, rows, residual), total + squares
-    return _Tested(h, np.array(left), alike / max(total, 1e-300))
-
-
-def _explained_by(h: Hypothesis, rows: FloatArray, residual: FloatArray) -> float:
+def _explained_by(h: Hypothesis, rows: NDArray[np.int64], residual: FloatArray) -> float:
     """Return how much of a residual the effects' derivatives explain there, beyond what retuning does; of chance none.
 
     With as many columns as a twentieth of the rows they explain a twentieth of anything.
@@ -173,13 +227,7 @@ def _explained_by(h: Hypothesis, rows: FloatArray, residual: FloatArray) -> floa
     return max(float(part @ part) - by_chance, 0.0)
 
 
-def _ahead(first: _Tested, left: FloatArray, ahead: float) -> bool:
-    """Tell whether something else leaves far more, (groups,), whichever group is not counted."""
-    apart = left - ahead * first.left
+def _ahead(first: FloatArray, left: FloatArray, ahead: float) -> bool:
+    """Tell whether something else leaves far more, (groups,) each, whichever group is not counted."""
+    apart = left - ahead * first
     return bool(np.all(apart.sum() - apart > 0.0))
-
-
-def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float, ahead: float) -> bool:
-    """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
-    before = np.array([max(one.before, 0.0) * one.rows for one in held_out])
-    return _ahead(first, before * whole / max(before.sum(), 1e-300), ahead)

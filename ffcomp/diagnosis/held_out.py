@@ -80,23 +80,11 @@ def _members(motions: Sequence[int], one: int) -> list[int]:
     return [i for i, motion in enumerate(motions) if motion == one]
 
 
-Groups = Mapping[tuple[Position, str], Sequence[int]]
-
-
-def hold_out(
-    estimation: EstimationProblem, base: Fit, best: Fit, parts: Groups | None = None, retuned: bool = False
-) -> list[HeldOut]:
-    """Leave each group out in turn, of both fits: move a fit to the optimum of the others, to first order.
-
-    Parameters
-    ----------
-    retuned : as `_left_out` takes it
-    """
-    left_out, parts = [], groups(estimation.problem) if parts is None else parts
-    alone = [simulate_left_out(estimation, base, members, retuned) for members in parts.values()]
-    effects = (
-        alone if best is base else [simulate_left_out(estimation, best, members, retuned) for members in parts.values()]
-    )
+def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOut]:
+    """Leave each group out in turn, of both fits: move a fit to the optimum of the others, to first order."""
+    left_out, parts = [], groups(estimation.problem)
+    alone = [simulate_left_out(estimation, base, members) for members in parts.values()]
+    effects = alone if best is base else [simulate_left_out(estimation, best, members) for members in parts.values()]
     each = zip(parts.items(), alone, effects, strict=True)
     for ((position, experiment), members), before, after in each:
         filed = estimation.problem.simulate({}, members)

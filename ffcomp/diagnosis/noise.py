@@ -284,6 +284,11 @@ class Whitener:
         frequency, power = lines(observation, self.band_hz)[0], self.power(observation)
         return np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in observation.signals])
 
+    def of_signal(self, name: str) -> NDArray[np.bool_]:
+        """Tell which entries of the vector, (rows,), are of one signal."""
+        each = [(len(lines(o, self.band_hz)[0]), np.array(o.signals) == name) for o in self.observations]
+        return np.concatenate([np.tile(np.repeat(own, count), 2) for count, own in each])
+
     def power(self, observation: Observation) -> float:
         """Return the power of a real or imaginary part of the transform, per unit²/Hz of density."""
         window = taper(len(observation.measured), observation.rate_hz)

@@ -203,6 +203,7 @@ class Problem(ABC):
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
     names: MachineNames = MachineNames()
     forces: bool = False  # compared are the drive's force and the one that the measured motion needs, not signals
+    by_signal: bool = False  # each signal is compared by itself: what one leaves says nothing of another
     least_density: Mapping[str, float | FloatArray] = {}  # of a signal's noise, unit²/Hz (at `noise_grid`), at least
 
     @cached_property

@@ -109,12 +109,13 @@ class FoundEffect:
 class PartlyExplained:
     """The effect that holds most of a discrepancy, and what it leaves."""
 
-    json_keys: ClassVar = {ALL_OF: "effect"} | keys("explained", "left", "rivals")
+    json_keys: ClassVar = {ALL_OF: "effect"} | keys("explained", "left", "rivals", "signal")
 
     effect: FoundEffect
     explained: float  # share of the discrepancy that the effect explains where it was left out of the fit
     left: ResidualBreakdown
     rivals: Sequence[tuple[tuple[str, ...], float]]  # effects of other families, and what they explain there
+    signal: str = ""  # in which it holds most; "" : in all together
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +212,7 @@ class DiagnosisResult:
         if (most := self.search.dominant) is None:
             return None
         rivals = [(r.names, r.explained) for r in most.rivals]
-        return PartlyExplained(self._effect(self.named[0]), most.explained, self.residuals[1], rivals)
+        return PartlyExplained(self._effect(self.named[0]), most.explained, self.residuals[1], rivals, most.signal)
 
     @property
     def refused(self) -> Nearest | None:

@@ -40,9 +40,11 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
                 yield f"It is unproven at {unproven}, where little of the gap is."
             yield from _file_off(result)
         case "dominant" if most is not None:
+            of = f"the gap in {most.signal}" if most.signal else "the gap"
             yield (
-                f"There is a gap of {size}. Most of it is {_in_family(most.effect.name)}: where it was not fitted to, "
-                f"it explains {most_of(most.explained)} of the gap."
+                f"There is a gap of {size}. Most {f'of {of}' if most.signal else 'of it'} is "
+                f"{_in_family(most.effect.name)}: where it was not fitted to, it explains {most_of(most.explained)} of "
+                f"{of}."
             )
             yield f"A rest of {left} of {_compared(result)} stays, which nothing known explains."
             if most.rivals:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,26 @@ class Linear(Problem):
         return [y[:, None]] * len(range(len(self.observations)) if only is None else only)
 
 
+class Apart(Linear):
+    """The same with a second signal, compared by itself, in which nothing known makes what is left."""
+
+    def __init__(self, by_signal: bool) -> None:
+        super().__init__((1.0, 1.02, 0.98, 1.0), 0.2, (RUBS, BENDS))
+        self.by_signal, noise = by_signal, NOISE * np.random.default_rng(4).standard_normal((len(self.observations), N))
+        both = [
+            np.column_stack([o.measured[:, 0], 2.0 * REST + x]) for o, x in zip(self.observations, noise, strict=True)
+        ]
+        self.observations = [
+            replace(o, signals=("acc_x", "acc_y"), measured=y, speed=np.ones((N, 2)))
+            for o, y in zip(self.observations, both, strict=True)
+        ]
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
+        return [np.column_stack([y, np.zeros(N)]) for y in super().simulate(values, only, coarse=coarse)]
+
+
 def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
     """The problem with its noise, and its own parameter fitted alone."""
     floor = noise_from_repeats(problem.observations)
@@ -116,3 +137,10 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
 )
 def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
     assert dominant(sizes, rest, names) is None
+
+
+def test_what_explains_one_signal_whole_is_named_in_it_where_each_is_compared_by_itself() -> None:
+    found = dominant_of(Apart(by_signal=True))
+    assert found is not None and found.hypothesis.names == (RUBS,) and found.signal == "acc_x"
+    assert found.explained == pytest.approx(3 / (3 + 2 * 0.04), abs=0.04)
+    assert dominant_of(Apart(by_signal=False)) is None
