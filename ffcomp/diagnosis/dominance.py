@@ -4,7 +4,7 @@ Real machines hold more than one thing, so that no single effect passes all test
 it was left out of the fit,
 
     it explains most of the discrepancy · it leaves far less than any effect of another family · what it leaves no
-    longer looks like it · it does so whichever group is not counted
+    longer looks like it
 
 Of a place that was left out the file's numbers are fitted there, within what the file says: a rest bends them, at every
 place otherwise, and a frequency that is off there by a little would hide whatever the effect explains.
@@ -150,8 +150,7 @@ class _Asked:
             explained[first.names] < settings.dominant
             or self._better_without(first, scope)
             or alike[ranked[0].names] > settings.signature  # of the law that leaves least: others' shapes are left
-            or not all(_ahead(left[first.names], left[other.names], ahead) for other in others)
-            or not self._everywhere(left[first.names], scope, whole)
+            or any(left[other.names].sum() < ahead * left[first.names].sum() for other in others)
         ):
             return None
         return Dominant(
@@ -181,11 +180,6 @@ class _Asked:
             alike += _explained_by(h, rows[inside], residual[inside])
             total += float(residual[inside] @ residual[inside])
         return alike / max(total, 1e-300)
-
-    def _everywhere(self, left: FloatArray, scope: Scope, whole: float) -> bool:
-        """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
-        before = self.left_out("", self.base).left(scope)
-        return _ahead(left, before * whole / max(before.sum(), 1e-300), self.estimation.settings.ahead)
 
 
 def _of(residual: FloatArray) -> float:
@@ -225,9 +219,3 @@ def _explained_by(h: Hypothesis, rows: NDArray[np.int64], residual: FloatArray) 
     part = projected @ lstsq(projected, residual, cond=1e-6)[0]
     by_chance = len(projected.T) / len(rows) * float(residual @ residual)
     return max(float(part @ part) - by_chance, 0.0)
-
-
-def _ahead(first: FloatArray, left: FloatArray, ahead: float) -> bool:
-    """Tell whether something else leaves far more, (groups,) each, whichever group is not counted."""
-    apart = left - ahead * first
-    return bool(np.all(apart.sum() - apart > 0.0))
