@@ -112,10 +112,10 @@ class PartlyExplained:
     json_keys: ClassVar = {ALL_OF: "effect"} | keys("explained", "left", "rivals", "signal")
 
     effect: FoundEffect
-    explained: float  # share of the discrepancy that the effect explains where it was left out of the fit
+    explained: float  # of the discrepancy where it was left out of the fit
     left: ResidualBreakdown
     rivals: Sequence[tuple[tuple[str, ...], float]]  # effects of other families, and what they explain there
-    signal: str = ""  # in which it holds most; "" : in all together
+    signal: str = ""  # in which it does; "": in all
 
 
 @dataclass(frozen=True, slots=True)

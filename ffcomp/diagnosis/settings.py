@@ -48,7 +48,7 @@ class SearchSettings:
     # ---- acceptance ----
     left: float = _setting(0.15, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
     dominant: float = _setting(0.6, "of the discrepancy", "what one effect explains elsewhere, to be named with a rest")
-    ahead: float = _setting(1.5, "ratio", "by which any other family, and retuning alone, leave more there")
+    ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
     signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
 
 

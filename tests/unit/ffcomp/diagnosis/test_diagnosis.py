@@ -46,10 +46,6 @@ def made_recordings(hidden: dict[str, Any], noise: float, seed: int) -> list[Rec
     return recordings
 
 
-def verdict(hidden: dict[str, Any]) -> Any:
-    return diagnose(PrinterProblem(load_machine(TRUTH), made_recordings(hidden, 0.15, 0), CANDIDATES))
-
-
 def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     plant = PrinterProblem(
         load_machine(TRUTH), made_recordings({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0), CANDIDATES

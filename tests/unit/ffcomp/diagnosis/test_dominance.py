@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,15 +38,15 @@ def size_of(name: str) -> Parameter:
 
 
 class Linear(Problem):
-    """A machine whose effects add; it has a rest that none of them makes."""
+    """A machine whose effects add; it has a rest that none of them makes. So is its second signal, if there is one."""
 
     band_hz = (1.0, 200.0)
     name, path, recordings = "linear", "", ()
     parameters: tuple[Parameter, ...] = (Parameter("gain", 1.0, 0.02),)
     motions = tuple(2 * (i // 2) for i in range(2 * len(PLACES)))  # each is recorded twice
 
-    def __init__(self, sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
-        rng = np.random.default_rng(3)
+    def __init__(self, sizes: Sequence[float], rest: float, names: Sequence[str], second: float = 0.0) -> None:
+        rng, loud = np.random.default_rng(3), NOISE * np.ones(1 + bool(second))
         self.candidates = [Candidate(n, (size_of(n),), {size_of(n).name: 0.1}) for n in names]
         self.observations = [
             Observation(
@@ -55,9 +54,10 @@ class Linear(Problem):
                 f"{k}",
                 place,
                 RATE_HZ,
-                ("acc_x",),
-                (size * SIGNATURES[RUBS] + rest * REST + tones(5, 23) + NOISE * rng.standard_normal(N))[:, None],
-                np.ones((N, 1)),
+                ("acc_x", "acc_y")[: len(loud)],
+                np.column_stack([size * SIGNATURES[RUBS] + rest * REST + tones(5, 23), second * REST][: len(loud)])
+                + loud * rng.standard_normal((N, len(loud))),
+                np.ones((N, len(loud))),
             )
             for k, (place, size) in enumerate(zip(PLACES, sizes, strict=True))
             for n in (1, 2)
@@ -68,27 +68,8 @@ class Linear(Problem):
     ) -> list[FloatArray]:
         y = values.get("gain", 1.0) * tones(5, 23)
         y = y + sum(values.get(size_of(n).name, 0.0) * s for n, s in SIGNATURES.items())
-        return [y[:, None]] * len(range(len(self.observations)) if only is None else only)
-
-
-class Apart(Linear):
-    """The same with a second signal, compared by itself, in which nothing known makes what is left."""
-
-    def __init__(self, by_signal: bool) -> None:
-        super().__init__((1.0, 1.02, 0.98, 1.0), 0.2, (RUBS, BENDS))
-        self.by_signal, noise = by_signal, NOISE * np.random.default_rng(4).standard_normal((len(self.observations), N))
-        both = [
-            np.column_stack([o.measured[:, 0], 2.0 * REST + x]) for o, x in zip(self.observations, noise, strict=True)
-        ]
-        self.observations = [
-            replace(o, signals=("acc_x", "acc_y"), measured=y, speed=np.ones((N, 2)))
-            for o, y in zip(self.observations, both, strict=True)
-        ]
-
-    def simulate(
-        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
-    ) -> list[FloatArray]:
-        return [np.column_stack([y, np.zeros(N)]) for y in super().simulate(values, only, coarse=coarse)]
+        both = np.column_stack([y, np.zeros(N)])[:, : len(self.observations[0].signals)]
+        return [both] * len(range(len(self.observations)) if only is None else only)
 
 
 def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
@@ -97,10 +78,6 @@ def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
     assert floor is not None
     estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
     return estimation, fit(estimation, tuple(problem.parameters), np.zeros(len(problem.parameters)))
-
-
-def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = (RUBS, BENDS)) -> Dominant | None:
-    return dominant_of(Linear(sizes, rest, names))
 
 
 def dominant_of(problem: Linear) -> Dominant | None:
@@ -115,7 +92,7 @@ def dominant_of(problem: Linear) -> Dominant | None:
 
 def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
     """A fifth of the power is of the rest: two tones of a half beside three."""
-    found = dominant((1.0, 1.02, 0.98, 1.0))
+    found = dominant_of(Linear((1.0, 1.02, 0.98, 1.0), 0.5, (RUBS, BENDS)))
     assert found is not None and found.hypothesis.names == (RUBS,)
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
     assert found.hypothesis.fit.values["effects.coulomb_friction.size"] == pytest.approx(1.0, abs=0.02)
@@ -125,22 +102,20 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
 @pytest.mark.parametrize(
     ("sizes", "rest", "names"),
     [
-        (
-            (1.0, 0.0, 1.6, 0.2),
-            0.1,
-            (RUBS, BENDS),
-        ),  # its size changes from place to place: something else does it
+        ((1.0, 0.0, 1.6, 0.2), 0.1, (RUBS, BENDS)),  # its size changes from place to place: something else does it
         ((1.0, 1.0, 1.0, 1.0), 1.5, (RUBS, BENDS)),  # more is left than it explains
         ((1.0, 1.0, 1.0, 1.0), 0.5, (RUBS, TOO)),  # another one explains as much
         ((3.0, 0.0, 0.0, 0.0), 0.1, (RUBS, BENDS)),  # at one place only
     ],
 )
 def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
-    assert dominant(sizes, rest, names) is None
+    assert dominant_of(Linear(sizes, rest, names)) is None
 
 
-def test_what_explains_one_signal_whole_is_named_in_it_where_each_is_compared_by_itself() -> None:
-    found = dominant_of(Apart(by_signal=True))
+def test_what_explains_one_signal_is_named_in_it_where_each_is_compared_by_itself() -> None:
+    problem = Linear((1.0, 1.02, 0.98, 1.0), 0.2, (RUBS, BENDS), second=2.0)
+    assert dominant_of(problem) is None
+    problem.by_signal = True
+    found = dominant_of(problem)
     assert found is not None and found.hypothesis.names == (RUBS,) and found.signal == "acc_x"
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.04), abs=0.04)
-    assert dominant_of(Apart(by_signal=False)) is None
