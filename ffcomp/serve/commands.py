@@ -126,7 +126,7 @@ class Kind:
     def check(self, values: Mapping[str, Any]) -> None:
         """Raise RequestError where values are out of range, or do not go together."""
         for make in self.requests:  # the server chooses the files when the job runs
-            files = {each.field: Path("file") for each in options_of(make) if each.required}
+            files = {each.field: "file" for each in options_of(make) if each.required}
             made = {each.field: values[each.field] for each in offered(make) if each.field in values}
             make(**files | made)
 
