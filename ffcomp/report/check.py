@@ -36,17 +36,12 @@ def _panel(axes: Axes, shown: Sequence[Check]) -> None:
     at = list(range(len(shown)))
     axes.plot(at, [100 * each.gap for each in shown], "o-", color=GAP, label="from the machine file")
     compared = [k for k in at if shown[k].difference is not None]
-    axes.plot(
-        compared,
-        [100 * (shown[k].difference or 0.0) for k in compared],
-        "s-",
-        color=CHANGE,
-        label="from the last check",
-    )
+    differences = [100 * (shown[k].difference or 0.0) for k in compared]
+    axes.plot(compared, differences, "s-", color=CHANGE, label="from the last check")
     axes.plot(at, [100 * each.noise for each in shown], ":", color=SOFT, label="the sensor's noise in one check")
-    for k in compared:
+    for k, difference in zip(compared, differences, strict=True):
         if shown[k].finding in MARKED:
-            place = (k, 100 * (shown[k].difference or 0.0))
+            place = (k, difference)
             axes.annotate(MARKED[shown[k].finding], place, (0, 7), textcoords="offset points", ha="center", fontsize=8)
     axes.set_xticks(at, [each.date.partition("T")[0] for each in shown], rotation=45, ha="right", fontsize=8)
     axes.set_ylabel("difference, % of the signal")

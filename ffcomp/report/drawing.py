@@ -128,21 +128,33 @@ def _for_dark_screens(content: bytes) -> bytes:
 
 
 COLUMN, PANEL = 4.6, 3.9  # inches: as wide as a phone; a panel's height
-MOST_PANELS = 8  # in a column
+MOST_PANELS = 8  # of a figure, that stand apart on a page
 
 
-def column(figure: Figure) -> Figure:
-    """Stack a figure's panels for a narrow screen, with short legends; a figure of very many stays as it is."""
-    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]  # a colour bar has none
-    if len(panels) <= MOST_PANELS:
-        rows = figure.add_gridspec(len(panels), 1)
-        for row, axes in enumerate(panels):
-            axes.set_subplotspec(rows[row])
-        figure.set_size_inches(COLUMN, PANEL * len(panels))
-        figure.supxlabel("")
-        for text in [text for legend in figure.legends for text in legend.get_texts()]:
-            text.set_text(text.get_text().partition(":")[0])
-    return figure
+def panels(figure: Figure) -> list[bytes]:
+    """Return an image of each panel, so that a narrow screen stacks them; one of a figure that has very many.
+
+    Legends of the figure stand below each panel, shortened.
+    """
+    every = [axes for axes in figure.axes if axes.get_subplotspec() is not None]  # a colour bar has none
+    figure.suptitle("")  # the page has these words
+    figure.supxlabel("")
+    if len(every) > MOST_PANELS:
+        return [svg(figure)]
+    figure.set_size_inches(COLUMN, PANEL)
+    for text in [text for legend in figure.legends for text in legend.get_texts()]:
+        text.set_text(text.get_text().partition(":")[0])
+    images = []
+    for panel in every:
+        for axes in figure.axes:
+            axes.set_visible(axes is panel)
+            axes.set_in_layout(axes is panel)
+        panel.set_subplotspec(figure.add_gridspec(1, 1)[0])
+        if len(panel.get_shared_x_axes().get_siblings(panel)) > 1:  # the lowest has the words of all
+            panel.tick_params(labelbottom=True)
+            panel.set_xlabel(every[-1].get_xlabel())
+        images.append(svg(figure))
+    return images
 
 
 def figure_of(drawing: Drawing) -> Figure:

@@ -83,10 +83,7 @@ def page_of(fit: MachineFit) -> Page:
     if isinstance(fit, ScanFit) or (fit.belts is not None and not has_panels):
         return replace(plain(fit), title=fit.name)
     if has_panels:
-        figure = figure_of(fit)
-        figure.suptitle("")
-        figure.supxlabel("")
-        sections.append(Section("The fit", figures=[figure]))
+        sections.append(Section("The fit", figures=[figure_of(fit)]))
     if block := klipper_block(fit.shapers):
         text = ["Paste into printer.cfg:"]
         sections.append(Section("If you stay with an input shaper", sentences=text, code=block))
@@ -169,10 +166,6 @@ def _modes(axes: Axes, modes: Sequence[Mode]) -> None:
     grid(axes)
 
 
-def _residual_title(every: Sequence[Trace]) -> str:
-    return f"Residual of {len(every)} response{'s' * (len(every) > 1)}"
-
-
 def _residuals(axes: Axes, every: Sequence[Trace]) -> None:
     """Draw what the fit leaves: in units of the noise where it is known, else as a share of the largest value."""
     known = all(trace.noise is not None for trace in every)
@@ -189,7 +182,8 @@ def _residuals(axes: Axes, every: Sequence[Trace]) -> None:
     if known:
         axes.axhline(1.0, color=NOISE, linewidth=3, zorder=0)
     unit = "times the noise" if known else "% of the largest value"
-    axes.set(xlabel="frequency, Hz", ylabel=unit, title=_residual_title(every))
+    title = f"Residual of {len(every)} response{'s' * (len(every) > 1)}"
+    axes.set(xlabel="frequency, Hz", ylabel=unit, title=title)
     plain_decades(axes.yaxis)
     grid(axes)
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from ffcomp.report.drawing import Drawing, column, svg
+from ffcomp.report.drawing import Drawing, panels, svg
 from ffcomp.result import Answer, Result
 from ffcomp.version import __version__
 
@@ -51,7 +51,7 @@ class Page:
     def html(self, answer: Answer) -> bytes:
         """Render it; the answer has the same words as in the terminal and JSON."""
         environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-        environment.filters |= {"said": said, "picture": picture, "column": column}
+        environment.filters |= {"said": said, "svg": svg, "panels": panels, "address": address}
         template = environment.from_string(resource("page.html.jinja"))
         about = [*self.about, f"ffcomp {__version__}"]
         shown = self.answer or answer
@@ -59,10 +59,8 @@ class Page:
 
 
 def plain(result: Result) -> Page:
-    """Return the page of a verb that has no sections of its own: its figures, without the words that the page has."""
+    """Return the page of a verb that has no sections of its own: its figures."""
     figures = [result.plot(name) for name in result.figures()]
-    for figure in figures:
-        figure.suptitle("")
     title = result.title or result.schema.removeprefix("ffcomp-").partition("/")[0].replace("-", " ").capitalize()
     return Page(title, sections=[Section("", figures=figures)] if figures else [])
 
@@ -72,9 +70,9 @@ def resource(name: str) -> str:
     return files("ffcomp.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def picture(drawing: Drawing | Figure) -> str:
-    """Return a drawing as the address of an image inside the page."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(svg(drawing)).decode('ascii')}"
+def address(image: bytes) -> str:
+    """Return the address of an SVG image inside the page."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(image).decode('ascii')}"
 
 
 def said(sentence: str) -> Markup:

@@ -144,8 +144,8 @@ def _maps(figure: Figure, left: Axes, right: Axes, preview: Preview, at: FloatAr
         axes.set(aspect="equal", xlabel="X, mm", ylabel="Y, mm", facecolor=MAP_GROUND)
         axes.set_title(f"Z {at[2]:.2f} mm, {name} compensation")
         axes.tick_params(labelsize=8)
-    bar = figure.colorbar(ScalarMappable(norm, colours), ax=[left, right], label="contour error, µm", aspect=30)
-    bar.ax.yaxis.set_major_formatter("{x:g}")
+        scale = axes.inset_axes((1.03, 0.0, 0.04, 1.0))  # it stays with its map on a page
+        figure.colorbar(ScalarMappable(norm, colours), cax=scale, label="contour error, µm", format="{x:g}")
 
 
 def simulation_figure(result: Simulation) -> Figure:

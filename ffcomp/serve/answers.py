@@ -36,7 +36,7 @@ def _without_commands(text: str) -> str:
 
 
 def keep_first_figure(report: Path, picture: Path) -> None:
-    """Write the first figure of a report, which the page shows below the answer; nothing where there is none."""
+    """Write the first figure of a report, which the page shows below the answer, unless a verb has drawn its own."""
     with suppress(OSError):
-        if figure := FIGURE.search(report.read_text(encoding="utf-8")):
+        if not picture.exists() and (figure := FIGURE.search(report.read_text(encoding="utf-8"))):
             picture.write_bytes(base64.b64decode(figure[1]))

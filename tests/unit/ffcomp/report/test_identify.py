@@ -61,7 +61,7 @@ def test_the_page_has_the_answer_three_panels_and_settings_to_paste() -> None:
         output=Path("folder/better.toml"),
     )
     text = page_of(fit).html(fit.answer).decode()
-    assert text.count("<img ") == 1 and "Weigh it." in text and "The model explains" in text
+    assert text.count("<img ") == 3 and "Weigh it." in text and "The model explains" in text
     assert f"<pre>{klipper_block(fit.shapers)}</pre>" in text and "folder/" not in text
 
 
