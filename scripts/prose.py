@@ -33,7 +33,7 @@ LIMIT = 1.0  # hits in 1,000 words
 LIMITS = {  # of folders that are not rewritten yet
     **{"docs/reference": 1.3, "ffcomp/check": 3.9, "ffcomp/compensation": 1.2, "ffcomp/diagnosis": 7.9},
     **{"ffcomp/faster": 3.2, "ffcomp/firmware": 1.5, "ffcomp/identification": 3.6, "ffcomp/inverse": 1.4},
-    **{"ffcomp/measurement": 2.7, "ffcomp/planner": 1.7, "ffcomp/record": 1.8, "ffcomp/steps": 2.4},
+    **{"ffcomp/planner": 1.7, "ffcomp/steps": 2.4},
 }
 
 

@@ -75,7 +75,7 @@ def verb(work: Callable[..., Result | None]) -> App:
                 for option, write in (("figure", result.write_figure), ("report", result.write_report)):
                     if values.get(option):
                         write(values[option])
-                        report(f"ffcomp: {values[option]}")
+                        report(str(values[option]))
                 answer(result, bool(values.get("as_json")))
 
     call.__signature__, call.options = signature, options  # type: ignore[attr-defined]
@@ -85,7 +85,7 @@ def verb(work: Callable[..., Result | None]) -> App:
 
 
 def _say_compiling() -> None:
-    report(f"ffcomp: {COMPILING}.")
+    report(f"{COMPILING}.")
     Event(COMPILING).write()
 
 

@@ -109,7 +109,7 @@ def is_quiet() -> bool:
 
 def report(sentence: str) -> None:
     """Report progress: in the log, and on stderr unless it is quiet."""
-    note(sentence) if is_quiet() else say(sentence)
+    (note if is_quiet() else say)(f"ffcomp: {sentence}")
 
 
 def answer(result: Result, as_json: bool) -> None:

@@ -35,6 +35,6 @@ def diagnose(request: DiagnoseRequest, writing: Writing) -> Result:
     from ffcomp.diagnosis.diagnosis import USUAL_S
     from ffcomp.diagnosis.verb import diagnose_request
 
-    request = replace(request, progress=lambda sentence: report(f"ffcomp: {sentence}"))
+    request = replace(request, progress=report)
     with SearchProgress(USUAL_S) as search_progress:
         return diagnose_request(request, search_progress)

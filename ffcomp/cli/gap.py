@@ -21,4 +21,4 @@ def gap(request: GapRequest) -> Result:
     """
     from ffcomp.diagnosis.gap import gap_request
 
-    return gap_request(replace(request, progress=lambda text: report(f"ffcomp: {text}")))
+    return gap_request(replace(request, progress=report))

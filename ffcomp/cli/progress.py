@@ -81,7 +81,7 @@ class Progress:
             self.bar.stop()
 
     def show(self, what: str, share: float, left_s: float | None) -> bool:
-        """Show the stage on the bar, or tell it to a program; return whether there was either."""
+        """Show the stage on the bar, or report it to a program; return whether there was either."""
         if not self.live:
             return Event(what, min(share, 1.0), left_s).write()
         left = "" if left_s is None else f"{time_left(left_s)}: "
@@ -146,4 +146,4 @@ class SearchProgress(Progress):
         else:
             self.bar.console.print(f"ffcomp: {sentence}", markup=False, highlight=False)
         if not isinstance(sentence, Now):
-            note(f"ffcomp: {sentence}") if self.live else report(f"ffcomp: {sentence}")
+            note(f"ffcomp: {sentence}") if self.live else report(str(sentence))

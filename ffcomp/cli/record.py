@@ -47,7 +47,7 @@ def join(request: JoinRequest) -> Result:
     machine = load_machine(request.machine)
     plan = plan_of(request.plan, machine)
     turn = turn_of(request.axes_map)
-    result = join_captures(request.captures, plan, machine, turn, lambda text: report(f"ffcomp: {text}"))
+    result = join_captures(request.captures, plan, machine, turn, report)
     targets = [request.output / f"{each.name}.csv" for each in result.joined]
     if taken := [path for path in targets if path.exists() and not request.force]:
         raise RequestError(f"{taken[0]} exists already; give another --output, or --force.")
@@ -80,7 +80,7 @@ def check(request: CheckRequest) -> Result:
     plan, machine = load_plan(request.plan), load_machine(request.machine)
     earlier = read_history(request.history_file)
     turn = turn_of(request.axes_map)
-    joined = join_captures(request.captures, plan, machine, turn, lambda text: report(f"ffcomp: {text}"))
+    joined = join_captures(request.captures, plan, machine, turn, report)
     joined.check()
     left_out = [f"Left out {each.file}: {each.why}" for each in joined.refused]
     result = check_result(joined, plan, machine, earlier, datetime.now().isoformat(timespec="minutes"))

@@ -70,7 +70,7 @@ def compare(
     ----------
     printed : the print, on the machine whose file the methods use
     plant : the printer that evaluates, with the same kinematics; None: the machine itself
-    quality_um : bound of the contour error's p99 at which the methods' speeds are compared; 0: they are not
+    quality_um : bound of the contour error's p99, where the methods' speeds are compared; 0: they are not
     only : of `methods.NAMES`; none and the compensated print are always evaluated
     predict : the whole print by the design model, if it is short
     settings : of the inverse

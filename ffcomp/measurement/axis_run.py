@@ -1,4 +1,4 @@
-"""A run of one axis by itself: what drove it and what was measured, on one uniform clock.
+"""A run of one axis by itself: its drive and its measured motion, on one uniform clock.
 
 Columns: `t_s`; what drove it, `cmd_q_mm`, `force_n`, `current_a`, `voltage_v` or `duty`; any of `pos_q_mm`,
 `pos_motor_mm`, `vel_q_mm_per_s`, `acc_q_m_per_s2`, and the measured `force_n` of a position-driven axis; optionally,

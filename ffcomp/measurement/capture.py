@@ -40,7 +40,7 @@ def make_capture(path: str, table: Table, time_s: FloatArray, acceleration: Floa
 
     Parameters
     ----------
-    table : the file's rows, for their numbers and for what is wrong with them already
+    table : the file's rows, for their numbers and for the problems found so far
     time_s : (n,) s
     acceleration : (n, 3) m/s², columns X Y Z of the chip
     stated : other fields of the capture, as far as the file states them

@@ -76,7 +76,7 @@ class ShapersLeftOn:
         )
 
     def sentence(self) -> str:
-        """Say so, and what to do."""
+        """Describe the fault and its remedy."""
         return f"{self.claim} {SHAPER_REMEDY}"
 
 
@@ -445,8 +445,8 @@ def _in_band(x: FloatArray, rate_hz: float) -> FloatArray:
 
 BEYOND, LEAST_ROWS = 1.4, 40  # times a sensor's largest value; rows of a simulation beyond that: it is clipped
 FLATNESS = 0.15  # of that value: variation allowed there
-DWELLING = 0.45  # of the rows near a level: of a resonance a third, of what is clipped three fifths and more
-FOLLOWING = 0.75  # of a row's share of its simulation: by so much what is not clipped grows with it
+DWELLING = 0.45  # of the rows near a level: of a resonance a third, of a clipped signal three fifths and more
+FOLLOWING = 0.75  # of a row's share of its simulation: an unclipped signal grows by this share with it
 
 
 @dataclass(frozen=True)
@@ -459,7 +459,7 @@ class BadSensor:
     files: tuple[str, ...] = ()
 
     def sentence(self) -> str:
-        """Say so, and what to do."""
+        """Describe the fault and its remedy."""
         if self.what == "clipped":
             return (
                 f"Sensor {self.signal} is clipped in {', '.join(self.files[:3])}: it stands at one value while the "
@@ -507,9 +507,9 @@ SENTENCES = {
     "give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both.",
     "deaf check": "No chip feels the motion along {axis}, and a check compares all axes: give the captures of both "
     "chips, on the toolhead and on the bed.",
-    "alike": "Its name {stem!r} holds none of the plan's experiments, as {first!r} does, and their motions do not tell "
-    "them apart: each excites one tower or axis in the same way. Give the capture the name of its experiment, as the "
-    "firmware writes it.",
+    "alike": "Its name {stem!r} holds none of the plan's experiments, as {first!r} does, and their motions do not "
+    "distinguish them: each excites one tower or axis in the same way. Name the capture after its experiment, as the "
+    "firmware does.",
     "unlike": "It does not fit the motion of {experiment} below 20 Hz: correlation {correlation:.2f}, and {least:g} is "
     "needed. It is of another motion (another plan, a speed factor, lower limits of the firmware, lost steps, a bump), "
     "of another machine, or of a sensor that is loose or not on the nozzle holder; or its axes are others than "

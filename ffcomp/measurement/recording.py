@@ -71,7 +71,7 @@ class Recording(Run):
         return a, b, c
 
     def clocks_of(self, signals: Sequence[str]) -> tuple[str, ...]:
-        """Name the clock of each signal by the first of the group it is in: "" of the first, and of what is in none.
+        """Name the clock of each signal by the first of its group: "" of the first, and of those without a group.
 
         A run of several chips says in `clocks` which columns are of one chip: `acc_x acc_z, acc_y`.
         """

@@ -56,7 +56,7 @@ def frfs_from_recordings(
 
 
 def _commands(recordings: Sequence[Recording]) -> list[bool]:
-    """Tell which of the three commands move at all."""
+    """Return which of the three commands move at all."""
     return [any(np.ptp(recording.command[:, j]) > _SAME_COMMAND_MM for recording in recordings) for j in range(3)]
 
 

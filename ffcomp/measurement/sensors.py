@@ -265,7 +265,7 @@ def _about(name: str, signals: Mapping[str, FloatArray], reference: Mapping[str,
         return []
     mixed = " ".join(f"{c:+.2f} {o[-1]}" for o, c in zip(moving, share, strict=True) if abs(c) > 0.05)
     return [
-        f"Sensor {name} moves as {mixed} of what is commanded (correlation with its own {match:.2f}): its axes are "
+        f"Sensor {name} moves as {mixed} of the command (correlation with its own {match:.2f}): its axes are "
         "turned against the machine file's, or the order of the towers is another."
     ]
 

@@ -108,7 +108,7 @@ class ClockFit:
     offset_sd_s: float
     ratio: float
     ratio_sd: float
-    correlation: float  # below 20 Hz, of what was measured and what is expected, 0 to 1
+    correlation: float  # below 20 Hz, of the measured and the expected motion, 0 to 1
 
     def experiment_time(self, time_s: FloatArray) -> FloatArray:
         """Convert the capture's times (n,) s."""

@@ -53,7 +53,7 @@ class ExcitationRequest:
     period_s: float = 4.0
     periods: int = 6
     z_acceleration_mm_per_s2: float | None = None  # the firmware's own limit; None: the machine file's acceleration
-    acceleration_mm_per_s2: float | None = None  # peak of what is excited; None: what the limits allow
+    acceleration_mm_per_s2: float | None = None  # peak of the excitation; None: the largest that the limits allow
     repeats: int = 1
     seed: int = 1
 

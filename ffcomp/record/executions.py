@@ -136,7 +136,7 @@ def stated(capture: Capture, plan: Plan, experiment: Experiment) -> tuple[float,
 
 LEAST_LIKENESS = 0.8  # of a place in the record and an experiment, 0 to 1
 RATIOS = 1.0 + 0.03 * np.linspace(-1.0, 1.0, 11)  # of clocks that run free
-MARGIN_S = 0.05  # kept from what comes before the rest and after it
+MARGIN_S = 0.05  # kept from the motions before the rest and after it
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def _equations(joined: Joined, expected: Expectation, axis: int) -> NormalEquati
 
 
 def unlike(joined: Joined, least: float) -> str:
-    """Say that a capture does not fit its motion, and what may be the reason."""
+    """Say that a capture does not fit its motion, and give possible reasons."""
     rows = np.column_stack([joined.recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
     resting = joined.begin_s + joined.recording.time_s < -0.1
     parts = (rows[resting], rows[~resting])

@@ -177,7 +177,7 @@ def _kind(experiment: Experiment) -> str:
 
 
 def _instructions(plan: Plan, machine: Machine, recorder: Recorder) -> list[str]:
-    """Say what must be so before the file runs, and how everything is put back."""
+    """State the conditions before the file runs, and how everything is restored."""
     runs, identifies = plan.repeats * len(plan.experiments), plan.experiments[0].excitation is not None
     purpose = "identification" if identifies else "diagnosis"
     by_hand = [

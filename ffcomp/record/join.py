@@ -131,7 +131,7 @@ def load_recordings(
     plan : the file that `ffcomp record plan` wrote next to its G-code, or a print with the commands of captures; None:
         there are no captures
     turn : as of `join_captures`
-    progress : called with what is read, joined, and refused
+    progress : called with a sentence for each file that is read, joined or refused
     """
     if plan is None:
         return [read_recording(path) for path in paths]  # which says what to do with a capture
@@ -195,7 +195,7 @@ def _displaced(task: Task, clock: _Clock) -> Refused:
 
 
 def _all_alike_late(clocks: Sequence[_Clock]) -> bool:
-    """Tell whether all begin equally late, and keep their pace: another motion does neither."""
+    """Return whether all begin equally late and keep their pace; another motion does neither."""
     late = np.array([clock.late_s for clock in clocks])
     if len(late) < LEAST_ALIKE or not FARTHEST_S < np.median(late) < LATEST_S:
         return False

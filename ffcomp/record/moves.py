@@ -259,7 +259,7 @@ def _check_places(machine: Machine, places: Sequence[Place], height_mm: float) -
             if np.hypot(x - a, y - b) < NEAREST_MM:
                 raise LimitsError(
                     f"The places {x:g},{y:g} and {a:g},{b:g} are {np.hypot(x - a, y - b):.0f} mm apart; places are at "
-                    f"least {NEAREST_MM:g} mm apart, so that what is estimated at one can be tested at another."
+                    f"least {NEAREST_MM:g} mm apart, so that estimates from one can be tested at another."
                 )
 
 

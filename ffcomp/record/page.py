@@ -1,7 +1,7 @@
 """A page that a printer draws, to measure its vibrations from a picture of the page: layout and G-code.
 
 A stroke is a short zigzag along one axis and then a straight, unhurried line along the other one. What the zigzag has
-set ringing is written into that line as a wave, whose length is speed over frequency. Beside each stroke there is the
+set ringing is written into that line as a wave, whose length is speed over frequency. Next to each stroke there is the
 same line drawn slowly: scanner, lens and paper shift both alike, so their difference is the machine's. Discs mark where
 the page is. They are scattered by a seed and the machine's hash, so that no two pages have them at the same places.
 """
@@ -172,7 +172,7 @@ class _Drawer:
         flow: FloatArray | float = 1.0,
         at: FloatArray | None = None,
     ) -> None:
-        """Add a drawing along xy (n, 2) mm that is `at` its first point, or where it is said to be."""
+        """Add a drawing along xy (n, 2) mm that is `at` its first point, or at a given place."""
         limits = self.limits if kind == STROKE else self.slow_limits
         xy = np.rint(xy * XYZ_COUNTS) / XYZ_COUNTS
         xyz = np.column_stack([xy, np.full(len(xy), self.request.height_mm)])

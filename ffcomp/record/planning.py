@@ -40,7 +40,7 @@ CHECK_KINDS, CHECK_SECONDS, CHECK_REPEATS, CHECK_SEED = ("multisine", "loop", "r
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult(Result):
-    """The plan of a recording, and what becomes of it."""
+    """The plan of a recording, and its files."""
 
     schema = "ffcomp-record-plan/1"
     json_keys: ClassVar = keys("output", "experiments", "captures", "recommended_places_mm", "warnings", "next") | {

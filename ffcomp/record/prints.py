@@ -154,7 +154,7 @@ def plan_of_print(name: str, data: bytes, machine: Machine) -> Plan:
     program = read_program(TOGGLE.sub(MARK + rb"\g<0>", data), name, flavor=machine.flavor or None)
     captures = _captures(program)
     if captures:
-        firmware_plan(program, machine)  # which says what cannot be reached
+        firmware_plan(program, machine)  # it reports moves out of reach
     usual, _ = Counter(each.rests_s for each in captures).most_common(1)[0] if captures else ((0.0, 0.0), 0)
     if min(usual) < LEAST_REST_S:
         what = "no captures between two rests" if captures else "no captures: no ACCELEROMETER_MEASURE and no M956"
