@@ -584,34 +584,29 @@ class _Shown:
 
     seen: list[FloatArray]  # (n,) mm each, without what a line's place leaves open
     fitted: list[FloatArray]
-    power: FloatArray  # (2, 3) mm² of lines across x, y: of waves, of what the machine leaves, of roughness
+    unexplained: float  # share of the waves' power beyond the roughness of the lines' last thirds,
+    worse: str  # across this axis, the worse one
+    doubt: float  # the same beyond that of their calm halves, which are the less rough ones as well: at least as large
     gain: float  # of χ² by the machine, of the worse direction
-
-    @property
-    def worse(self) -> tuple[float, str]:
-        """Return the share of the waves' power beyond the lines' roughness that is not explained, and its axis."""
-        each = zip(self.power, "xy", strict=True)
-        return max(((left - rough) / max(waves - rough, 1e-12), axis) for (waves, left, rough), axis in each if waves)
-
-    @property
-    def unexplained(self) -> float:
-        """Share of the waves' power beyond the lines' roughness, of the worse direction."""
-        return float(self.worse[0])
 
 
 def _shown(result: FitResult[_Page]) -> _Shown:
     page = result.problem
     (drawn,) = page.drawn([result.values])
     sds = np.split(page.deviations(np.zeros(len(page.lines))), page.ends[:-1])
-    seen, model, power, gains = [], [], np.zeros((2, 3)), dict.fromkeys(page.across, 0.0)
+    seen, model, power, gains = [], [], np.zeros((2, 4)), dict.fromkeys(page.across, 0.0)
     for line, axis, y, sd, own in zip(page.lines, page.across, drawn, sds, page.observations, strict=True):
         bow = y - _without_bow(y)
         left = line.across_mm - y - _open(line.across_mm, y, sd)
         seen.append(left + y - bow)
         model.append(y - bow)
-        power["xy".index(axis)] += [float(np.sum(each)) for each in (seen[-1] ** 2, left**2, own.noise)]
+        last = np.full(len(left), np.mean(left[-(len(left) // 3) :] ** 2))
+        power["xy".index(axis)] += [float(np.sum(each)) for each in (seen[-1] ** 2, left**2, own.noise, last)]
         gains[axis] += float(np.sum((seen[-1] ** 2 - left**2) / sd**2))
-    return _Shown(seen, model, power, min(gains.values()))
+    waves, rest, *rough = power.T
+    calm, last = (np.maximum(rest - each, 0.0) / np.maximum(waves - each, 1e-12) for each in rough)
+    worse = int(np.argmax(last))
+    return _Shown(seen, model, float(last[worse]), "xy"[worse], float(calm.max()), min(gains.values()))
 
 
 def _result(fitted: FitResult[_Page]) -> PageFit:
@@ -662,7 +657,7 @@ def _check_conditions(fitted: FitResult[_Page]) -> None:
     against its own length and the zigzag's time, which no override of speeds changes.
     """
     page, shown = fitted.problem, _shown(fitted)
-    if shown.unexplained > DOUBTFUL:
+    if shown.doubt > DOUBTFUL:
         free = _Page(page.machine, page.lines, page.width_mm, conditions=OVERRIDDEN)
         x, errors = free.near(fitted), np.zeros(len(page.lines))
         trials = []
@@ -692,9 +687,14 @@ def _check_conditions(fitted: FitResult[_Page]) -> None:
             f"{rings} as the zigzags excite: the page was printed with an input shaper on, or with less acceleration. "
             "Run the page's G-code as it is, without overrides, and let it switch the shaper off."
         )
+    elif shown.unexplained < MOST_UNEXPLAINED and not enough:
+        reason = (
+            "The waves hardly stand out from the roughness of the lines: an input shaper was on, or the printer rings "
+            "too little. Switch the shaper off and print the page again, or use a sensor."
+        )
     elif not enough:
         reason = (
-            f"The machine explains {100 * max(1.0 - shown.unexplained, 0.0):.0f} % of the waves of {shown.worse[1]}, "
+            f"The machine explains {100 * max(1.0 - shown.unexplained, 0.0):.0f} % of the waves of {shown.worse}, "
             "and roughness does not account for the rest: this page was drawn by another machine, by other G-code, by "
             "speed overrides or with an input shaper on, or its lines are torn. Check -m and --plan, switch the shaper "
             "off, or print the page again."
