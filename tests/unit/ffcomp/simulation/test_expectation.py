@@ -11,6 +11,7 @@ from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.simulation.command import planned_motion
 from ffcomp.simulation.expectation import (
+    KINDS,
     PRINTERS,
     STEP_S,
     TRUNCATION_SD,
@@ -74,10 +75,9 @@ def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(mac
     assert found.shaper_um > uncompensated(replace(machine, uncertainty={"default": 0.0})).shaper_um > 0.0
     numbers = found.numbers() | {"compensated_um": 1.0}
     assert expectation_of(machine, **numbers).headline.startswith("Expected contour error")
-    begins = {(): "An input shaper, which the firmware lacks, would", ("M593 X F40",): "The firmware's input shaper is"}
-    for own, begin in begins.items():
+    for own, begin in {(): "An input shaper, which the firmware lacks,", ("M593 X F40",): "The firmware's"}.items():
         worse = expectation_of(replace(machine, input_shaper=own), **(numbers | {"compensated_um": 1e3}))
-        assert worse.headline.startswith(f"{begin} better here") or worse.headline.startswith(f"{begin} be better here")
+        assert worse.headline.startswith(begin)
 
 
 def test_pieces_where_nothing_rings_do_not_tune_a_shaper(machine: Machine) -> None:
@@ -90,11 +90,7 @@ def test_pieces_where_nothing_rings_do_not_tune_a_shaper(machine: Machine) -> No
 def test_a_shaper_is_one_that_the_firmware_has(machine: Machine) -> None:
     """Marlin has ZV, and none on deltas; RepRapFirmware has one frequency for both axes."""
     kinds = {flavor: [each.kind for each in tuned_shapers(machine, pieces(machine), flavor)] for flavor in FIRMWARES}
-    assert kinds == {
-        "klipper": ["zv", "mzv", "ei", "2hump_ei"],
-        "marlin": ["zv"],
-        "reprapfirmware": ["mzv", "2hump_ei"],
-    }
+    assert kinds == {"klipper": list(KINDS), "marlin": ["zv"], "reprapfirmware": ["mzv", "2hump_ei"]}
     assert all(each.hz[0] == each.hz[1] for each in tuned_shapers(machine, pieces(machine), "reprapfirmware"))
     assert not FIRMWARES["marlin"].shapers(MACHINE)
 
