@@ -142,7 +142,7 @@ def test_periodic_excitations_of_several_towers_need_the_names_of_their_captures
     """Each tower is excited in the same way, and a sensor that is turned shows one as the other."""
     periodic = make_excitation_plan(bench.machine, ExcitationRequest(period_s=2.0, periods=2))
     found = join_captures([one(bench)], periodic, bench.machine)
-    assert not found.joined and "Give the capture the name" in found.refused[0].why
+    assert not found.joined and "Name the capture after its experiment" in found.refused[0].why
 
 
 def test_a_capture_of_another_motion_is_refused(bench: Bench, tmp_path: Path) -> None:
