@@ -20,7 +20,6 @@ from ffcomp.cli.progress import Event
 
 PRINT = """\
 G28
-G90
 M83
 SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=5000 SQUARE_CORNER_VELOCITY=5
 G1 X50 Y50 Z20 F6000
@@ -94,6 +93,7 @@ def _steps(printers: subprocess.Popen[bytes]) -> Iterator[tuple[str, Callable[[]
     for kind, machine in MACHINES.items():
         yield f"compensate, {kind}", partial(_run, "", machine)
         yield f"compensate --robust on, {kind}", partial(_run, "", machine, robust="on", predict=False)
+    yield "compensate, Marlin", partial(_run, "", MACHINES["straight axes"], flavor="marlin", predict=False)
     yield "estimate", partial(_run, "estimate", MACHINES["a delta"], predict=False)
     yield "virtual printers", printers.wait
     for kind, machine in MACHINES.items():

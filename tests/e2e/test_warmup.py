@@ -34,7 +34,7 @@ def test_a_run_says_once_that_it_compiles_and_only_then(tmp_path: Path, monkeypa
 def test_after_warming_up_no_run_compiles(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["warmup"])
     assert result.exit_code == 0, result.output
-    told = ("[8/8] simulate", "compensate --robust on, straight axes", "Ready after")
+    told = ("[9/9] simulate", "compensate --robust on, straight axes", "Ready after")
     assert all(each in result.output for each in told)
     after = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])
     assert after.exit_code == 0 and "Compiling" not in after.output
