@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from ffcomp.firmware.marlin_queue import (
     SPEED,
     TRAVEL,
 )
+from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
 from gcode.program import MACHINE_LIMITS, LimitCommand, Moves, Program
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
@@ -37,7 +38,7 @@ class SettingsInForce:
     rows: FloatArray  # (k, COLUMNS)
     as_read: FloatArray  # (k, 3) mm/s², mm/s², mm/s: P, T and corner of the file as `Moves` has them; NaN: not set
 
-    limits: tuple[float, float]  # mm/s² and mm/s, the machine's own where the file has set nothing
+    limits: PlannerLimits  # the machine's own where the file has set nothing
 
     @classmethod
     def of(cls, program: Program, machine: Machine, row: FloatArray) -> SettingsInForce:
@@ -55,8 +56,7 @@ class SettingsInForce:
                 lines.append(event.line)
                 read.append(event.limits.after)
         as_read = [(each.acceleration, each.travel_acceleration, each.square_corner_velocity) for each in read]
-        own = (machine.limits.acceleration_mm_per_s2, machine.limits.square_corner_velocity_mm_per_s)
-        return cls(np.array(lines, dtype=np.int64), np.array(rows), np.array(as_read), own)
+        return cls(np.array(lines, dtype=np.int64), np.array(rows), np.array(as_read), planner_limits(machine))
 
     def at(self, moves: Moves) -> NDArray[np.float32]:
         """Return the settings in force at each move, (n, COLUMNS): lower where a move requests less than the file.
@@ -67,18 +67,17 @@ class SettingsInForce:
         rows = self.rows.astype(np.float32)[which]
         printing, travel, corner = self.as_read[which].T
         asked = np.where((moves.end[:, 3] == moves.start[:, 3]) & ~np.isnan(travel), travel, printing)
-        gentler = _share(moves.acceleration, asked, self.limits[0])
+        asked = np.where(np.isnan(asked), self.limits.acceleration_mm_per_s2, asked)
+        # time scaling begins with what a move's axes allow, which its block keeps to as well
+        allowed = bounds_of(replace(moves, acceleration=asked), lines_of(moves), self.limits).acceleration
+        gentler = np.fmin(moves.acceleration / np.minimum(allowed, asked), 1.0)
         rows[:, SCALE] = gentler
-        slower = _share(moves.square_corner_velocity, corner, self.limits[1])
+        corner = np.where(np.isnan(corner), self.limits.square_corner_velocity_mm_per_s, corner)
+        slower = np.fmin(moves.square_corner_velocity / corner, 1.0)
         if (slower < 1.0).any():
             rows[:, JERK] *= slower[:, None]
             rows[:, DEVIATION] *= np.where(rows[:, DEVIATION] > 0.0, np.minimum(slower**2 / gentler, 1.0), 1.0)
         return rows
-
-
-def _share(value: FloatArray, in_file: FloatArray, in_machine: float) -> FloatArray:
-    share = value / np.where(np.isnan(in_file), in_machine, in_file)
-    return np.where(share < 1.0, share, 1.0)
 
 
 def row_after(row: FloatArray, command: LimitCommand) -> FloatArray:

@@ -64,7 +64,6 @@ LATE_TRAVEL_MM = 0.2  # and how far in XY where no filament flows, on a machine 
 KNOT = 1e-6  # of a segment: nearer is at a knot
 STEADY = 0.02  # relative variation of a speed that counts as constant
 
-
 TARGET_UTILISATION = 0.98  # of a limit, that a slowed move aims at
 GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
 BINDING_UTILISATION = 0.85  # utilisation of a command above which its path is slowed
@@ -247,7 +246,7 @@ class ScaledSection:
         def written_s(factor: float) -> float:
             self.moves, self.plan = moves, plan
             by = np.where(self._fixed, 1.0, factor)
-            self.moves = self._slower(by, by**2)
+            self.moves = self._slower(by, by**2, by**2)
             self._plan_again()
             return self.extent.written_s(self.plan, self.section.begin_t - settings.lead_s)
 
@@ -341,27 +340,29 @@ class ScaledSection:
         -------
         False where all of them have to keep their speed
         """
-        by_speed, by_acceleration = np.ones(len(self.moves)), np.ones(len(self.moves))
+        by_speed, by_acceleration, by_corner = np.ones((3, len(self.moves)))
         for violation in violations:
-            touched = self._touched(reference, violation, reach)
+            around = touched = self._touched(reference, violation, reach)
             if violation.limit == TIMING:  # no G-code file can raise the acceleration of a lift or a retraction
                 direction = self.plan.direction[touched]
                 separate = (direction[:, 2] != 0.0) | (direction[:, 3] < 0.0)
                 touched = touched[separate] if separate.any() else touched
             touched = touched[~self._fixed[touched]]
+            around = around[~self._fixed[around]] if touched.size else touched
             for move in touched:
                 self.reasons.setdefault(int(move), violation)
             if violation.limit == VELOCITY:
                 by_speed[touched] = np.minimum(by_speed[touched], violation.factor)
                 continue
             by_acceleration[touched] = np.minimum(by_acceleration[touched], violation.factor)
+            by_corner[around] = np.minimum(by_corner[around], violation.factor)  # Marlin's: of the move after it
             if self._steady(reference, violation):
                 by_speed[touched] = np.minimum(by_speed[touched], np.sqrt(violation.factor))
-        self.moves = self._slower(by_speed, by_acceleration)
+        self.moves = self._slower(by_speed, by_acceleration, by_corner)
         return bool((np.minimum(by_speed, by_acceleration) < 1.0).any())
 
-    def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray) -> Moves:
-        """Scale the moves' top speeds by one factor (n,), acceleration and corners by another."""
+    def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray, by_corner: FloatArray) -> Moves:
+        """Scale the moves' top speeds, accelerations and corners by factors (n,)."""
         moves, limits = self.moves, self.request.replanner.limits
         bounds = bounds_of(moves, lines_of(moves), limits)
         set_corner = moves.square_corner_velocity
@@ -374,7 +375,7 @@ class ScaledSection:
             moves,
             speed=np.where(by_speed < 1.0, np.minimum(moves.speed, top), moves.speed),
             acceleration=np.where(by_acceleration < 1.0, bounds.acceleration * by_acceleration, moves.acceleration),
-            square_corner_velocity=np.where(by_acceleration < 1.0, corner * by_acceleration, set_corner),
+            square_corner_velocity=np.where(by_corner < 1.0, corner * by_corner, set_corner),
         )
 
     def _steady(self, reference: Reference, violation: Violation) -> bool:
@@ -440,8 +441,7 @@ def late_segments(
     reference, around = written.reference, np.zeros(len(vertices) - 1, dtype=np.bool_)
     reference.even_flow(vertices, None)
     late = _late_segments(model, written, vertices)
-    cuts = (reference.t0 + knot * model.settings.segment_s for knot in (written.first, written.last))
-    fixed = (*cuts, *events)
+    fixed = [*events, *(reference.t0 + knot * model.settings.segment_s for knot in (written.first, written.last))]
     for _ in range(EVENED):
         if not late.any():
             return late

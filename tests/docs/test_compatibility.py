@@ -52,12 +52,7 @@ class Done:
 
     def __init__(self, text: str, flavor: str = "klipper", **options: Any) -> None:
         data = (STARTS[flavor] + text).encode()
-        job = Job(
-            data,
-            "print.gcode",
-            load_machine(MACHINE),
-            plainly(predict=False, flavor=flavor, **options),
-        )
+        job = Job(data, "print.gcode", load_machine(MACHINE), plainly(predict=False, flavor=flavor, **options))
         stream = job.lines()
         self.data = b"".join(joined(stream))
         self.lines = self.data.splitlines()

@@ -26,12 +26,7 @@ HEAD = "; gcode_flavor = klipper\nG90\nM83\nG28\nG1 X0 Y0 F6000\nG1 Z5\n"
 
 
 def compensated(text: str, machine: Machine, **options: object) -> str:
-    source = Job(
-        text.encode(),
-        "print.gcode",
-        machine,
-        plainly(predict=False, flavor="klipper", **options),
-    )
+    source = Job(text.encode(), "print.gcode", machine, plainly(predict=False, flavor="klipper", **options))
     out = b"".join(source.lines())
     assert violations(text.encode(), out, machine, flavor="klipper") == []
     assert original(out) == text.encode()
