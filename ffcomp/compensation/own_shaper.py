@@ -84,16 +84,11 @@ def shaper_set(shaper: OwnShaper, tuned: Tuned) -> OwnShaper:
 
 
 def with_shaper_set(parts: Iterable[bytes], shaper: OwnShaper, tuned: Tuned) -> Iterator[bytes]:
-    """Yield a print as sliced: the shaper is set before its first move, and restored after its last line.
+    """Yield a print, from parts of whole lines, as sliced: the shaper is set before its first move.
 
-    It is set again where the print sets one of its own, which is then restored at the end.
-
-    Parameters
-    ----------
-    parts : of whole lines
+    It is set again where the print sets one of its own, and restored after the last line as the print would have it.
     """
-    command = rb"(?i)[ \t]*(?:N\d+[ \t]*)?%b"
-    moves, sets_it = (re.compile(command % each) for each in (rb"G0?[0-3]\b[^;]*[XY]", shaper.command + rb"\b"))
+    moves, sets_it = lines_of(rb"G[ \t]*0*[0-3]"), lines_of(shaper.command)
     setting = shaper_on(shaper.flavor, tuned.kind, tuned.hz, DAMPING_RATIO)
     on, begun, kept = list(shaper.on), False, b""
     for line in (line for part in parts for line in part.splitlines(keepends=True)):
@@ -102,11 +97,16 @@ def with_shaper_set(parts: Iterable[bytes], shaper: OwnShaper, tuned: Tuned) -> 
             begun = True
             yield ours(setting, line)
         kept = WAS + line if like_ours(line) else line
-        if sets_it.match(line):
-            on.append(line)
+        if (own := sets_it.match(line)) and own["ends"]:  # the last line of a print stands, if nothing ends it
+            on.append(own["bare"])
             kept += ours(setting if begun else (), line)
     back = ours([*shaper_off(shaper.flavor, on), *on], kept)
     yield kept + back if kept.endswith((b"\n", b"\r")) else back + kept
+
+
+def lines_of(command: bytes) -> re.Pattern[bytes]:
+    """Find lines with a command: `bare` without a line number, and how each `ends`."""
+    return re.compile(rb"(?im)^[ \t]*(?:N\d+[ \t]*)?(?P<bare>%b(?![\d._])[^\r\n]*)(?P<ends>[\r\n]+|\Z)" % command)
 
 
 def ours(lines: Iterable[bytes], like: bytes = b"") -> bytes:
@@ -125,8 +125,7 @@ def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
     ----------
     pieces : of whole lines
     """
-    command = shaper.command
-    sets_it = re.compile(rb"(?im)^[ \t]*%b\b[^\n]*(?:\n|\Z)" % command)
+    command, sets_it = shaper.command, lines_of(shaper.command)
     on, is_on, was_off, last = list(shaper.on), shaper.state == "off", False, b""
     restored = Later()  # after our last line
     for piece in pieces:
@@ -151,6 +150,6 @@ def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
             yield text
             if own:
                 at, is_on = own.end(), True
-                on.append(own[0])
+                on.append(own["bare"])
                 yield own[0]
-    restored.text = ours(on, last) if was_off and not is_on else b""
+    restored.text = ours(on, last) if was_off else b""

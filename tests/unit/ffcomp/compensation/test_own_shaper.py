@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 
 from ffcomp.compensation.job import Job
-from ffcomp.compensation.own_shaper import OwnShaper, with_shaper_set
+from ffcomp.compensation.own_shaper import OwnShaper, with_shaper_off, with_shaper_set
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import CompensatedFile, Result
+from ffcomp.compensation.text_stream import in_order
 from ffcomp.simulation.command_files import read_gcode
 from ffcomp.simulation.expectation import Tuned
 from ffcomp.simulation.forecast import stored_forecast
@@ -85,3 +86,17 @@ def test_lines_keep_their_endings() -> None:
     lines = b"".join(with_shaper_set([b"G28\r\n", b";~ mine\r\nG1 X1\r\nG1 X2"], shaper, Tuned("mzv", (40.0, 41.0))))
     assert lines.startswith(b"G28\r\n;~;~ mine\r\nSET_INPUT_SHAPER SHAPER_TYPE_X=mzv SHAPER_FREQ_X=40.0 ")
     assert lines.endswith(b"SHAPER_FREQ_X=50 ; ffcomp\nG1 X2") and lines.count(b"; ffcomp") == 3
+
+
+@pytest.mark.parametrize("ending", [b"\n", b"\r\n", b""])
+def test_a_print_in_any_spelling_that_ends_with_a_shaper_of_its_own(machine: Machine, ending: bytes) -> None:
+    """Its last line stands as it is; after ours, the axis that it does not name is as before."""
+    own = OwnShaper("off", "", "marlin", tuple(f"{line}\n".encode() for line in OWN))
+    data = b"G28\nN5 G1X60Y60F600\nN6 M593XF41\nG2I5J0" + b"\nM593 X F42" + ending
+    text = b"".join(with_shaper_set([data], own, Tuned("zv", (46.0, 37.5))))
+    assert original(text) == data and text.index(b"F46.0") < text.index(b"N5 G1X60") and text.count(b"F46.0 ") >= 2
+    back = b"".join(b"%b ; ffcomp\n" % line for line in (OWN[1].encode(), b"M593XF41"))
+    assert back in text.replace(b"\r", b"") and (ending or text.endswith(back + b"M593 X F42"))
+    pieces = [b"G1 X1 ; ffcomp\nN6 M593XF41\nG1 X2 ; ffcomp\nM593 X F42" + ending]
+    held = b"".join(in_order(with_shaper_off(pieces, own)))
+    assert held.count(b"M593 F0 ; ffcomp") == 2 and b"M593 Y F37 D0.1 ; ffcomp" in held.split(b"X2")[1]
