@@ -35,7 +35,7 @@ class MergeLimits(NamedTuple):
 
 @kernel
 def merge(
-    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits, cut: float = 1e12
+    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits, cut: float
 ) -> IntArray:
     """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
 

@@ -47,7 +47,7 @@ def test_segments_stay_within_the_tolerances(scale: float) -> None:
     limits = LIMITS._replace(across_mm=1e-3 * scale, along_mm=4e-3 * scale, longest=25.0)
     pinned = unpinned(vertices)
     pinned[[57, 58, 211]] = True
-    kept = merge(np.arange(401.0), vertices, e, pinned, limits)
+    kept = merge(np.arange(401.0), vertices, e, pinned, limits, 1000)
     assert kept[0] == 0 and kept[-1] == 400 and {57, 58, 211} <= set(kept.tolist())
     assert 1 <= np.diff(kept).min() <= np.diff(kept).max() <= 25
     across, along = missed(np.arange(401.0), vertices, kept)
