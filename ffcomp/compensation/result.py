@@ -464,7 +464,7 @@ class FileResult:
 
     @property
     def done(self) -> CompensatedFile | None:
-        """What was made of it; None: it failed."""
+        """The result of a file; None: it failed."""
         return self.outcome if isinstance(self.outcome, CompensatedFile) else None
 
     @property

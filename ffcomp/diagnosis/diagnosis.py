@@ -238,7 +238,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
 
 
 def _as_filed(estimation: EstimationProblem) -> Fit:
-    """Return the machine file as it is, with the derivatives there."""
+    """Return the fit with the numbers of the machine file, and the derivatives there."""
     return linearised(estimation, estimation.problem.parameters, np.zeros(len(estimation.problem.parameters)))
 
 

@@ -54,7 +54,7 @@ class Dominant:
     hypothesis: Hypothesis  # of one effect
     explained: float  # share of the discrepancy where it was left out of the fit
     rivals: tuple[Rival, ...]  # the best first
-    signal: str = ""  # the only one in which it does; "": in all together
+    signal: str = ""  # whose discrepancy that is; "": of all signals together
 
 
 @dataclass(frozen=True, eq=False)

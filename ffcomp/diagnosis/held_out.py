@@ -187,8 +187,8 @@ def _fitted_to_others(estimation: EstimationProblem, fitted: Fit, members: Seque
 def _on_their_clocks(estimation: EstimationProblem, fitted: Fit, z: FloatArray, members: Sequence[int]) -> FloatArray:
     """Put what was left out on clocks of its own: z (p,) with the delays of these recordings fitted to them alone.
 
-    They say nothing of the machine, so nothing else tells them. But a late machine and late recordings are hard to
-    tell apart: with other recordings the share of each is another, and clocks that stayed would be wrong by as much.
+    They do not depend on the machine, so no other recording determines them. But a late machine and late recordings are
+    hard to tell apart: with other recordings the share of each is another, and clocks that stayed would be as wrong.
     """
     delays = clock_parameters([estimation.problem.observations[i] for i in members])
     clocks = [i for i, n in enumerate(fitted.parameters) if n.name in delays]

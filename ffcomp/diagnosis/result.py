@@ -115,7 +115,7 @@ class PartlyExplained:
     explained: float  # of the discrepancy where it was left out of the fit
     left: ResidualBreakdown
     rivals: Sequence[tuple[tuple[str, ...], float]]  # effects of other families, and what they explain there
-    signal: str = ""  # in which it does; "": in all
+    signal: str = ""  # whose gap that is; "": of all signals
 
 
 @dataclass(frozen=True, slots=True)

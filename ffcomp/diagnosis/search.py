@@ -163,7 +163,7 @@ def _quick_fits(search: Search, h: Hypothesis, screened: Sequence[Screened], cho
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """An effect in one of its forms, with the numbers at which a fit begins."""
+    """An effect in one of its forms, with the starting values of a fit."""
 
     effect: Candidate
     z: FloatArray  # (k,) of its parameters

@@ -44,7 +44,7 @@ class SearchSettings:
     visible_sd: float = _setting(3.0, "standard deviations", "score of a usual size that recordings could show")
     subset_worth: float = _setting(0.7, "of the motions", "a subset of more saves too little", "time")
     excerpt_information: float = _setting(3000.0, "χ²", "of a discrepancy in an excerpt that decides as all data do")
-    coarse_error: float = _setting(1e-3, "of |r|²", "by which coarse simulations may be off")
+    coarse_error: float = _setting(1e-3, "of |r|²", "error of coarse simulations, at most")
     # ---- acceptance ----
     left: float = _setting(0.15, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
     dominant: float = _setting(0.6, "of the discrepancy", "what one effect explains elsewhere, to be named with a rest")
