@@ -89,13 +89,10 @@ EXTRAS = {
 """Packages that only an extra installs: its name, and who needs it."""
 
 
-PACKAGE_NAMES = {"PIL": "pillow"}  # what a package is installed as, where it is imported by another name
-
-
 def not_installed(package: str) -> FfcompError:
     """Return the error that says which extra brings a package of EXTRAS."""
     extra, need = EXTRAS[package]
-    name = PACKAGE_NAMES.get(package, package)
+    name = "pillow" if package == "PIL" else package  # as it is installed
     return FfcompError(f"{need}: pip install 'ffcomp[{extra}]' (with pipx: pipx inject ffcomp {name}).")
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import inspect
 import re
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from math import isinf
 from numbers import Integral, Real
@@ -304,15 +304,17 @@ ABSTRACT: dict[Any, Any] = {int: Integral, float: Real, Path: (str, PathLike)}
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Return whether a value is of a type; the items of mappings and sequences are not looked at."""
+    """Return whether a value is of a type, with the items of its tuples and mappings."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return any(_fits(value, each) for each in parts)
     if origin is Literal:
         return True  # `Declared.check` compares it with the choices
-    if origin is tuple and isinstance(value, tuple):
+    if origin is tuple and isinstance(value, tuple | list):
         items = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
         return len(value) == len(items) and all(map(_fits, value, items))
+    if origin is Mapping and isinstance(value, Mapping):
+        return all(_fits(key, parts[0]) and _fits(item, parts[1]) for key, item in value.items())
     return isinstance(value, origin or ABSTRACT.get(hint, hint))
 
 

@@ -25,6 +25,7 @@ class Discrepancy(Result):
 
     title = "Simulation against measurement"
     schema = "ffcomp-gap/1"
+    page_by = "ffcomp.report.diagnose:gap_page"
     json_keys: ClassVar = keys("compared", "notes", noise_from_repeats="floor.from_repeats") | keys(
         nrms="residual.total.nrms", noise_nrms="residual.total.noise_nrms", where="residual"
     )
@@ -42,8 +43,7 @@ class Discrepancy(Result):
     @property
     def headline(self) -> str:
         """How large the disagreement is, and what noise alone would leave."""
-        total = self.residual.total
-        noise = "; that is noise" if self.is_noise else ""
+        total, noise = self.residual.total, "; that is noise" if self.is_noise else ""
         compared = "the drive's forces" if self.forces else "the signals"
         return (
             f"Simulation and measurement differ by {100 * total.nrms:.2f} % of {compared}; noise alone would leave "

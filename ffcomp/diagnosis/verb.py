@@ -18,6 +18,7 @@ from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.trace import Trace
+from ffcomp.diagnosis.words import percent
 from ffcomp.identification.machine_fit import hash_of
 from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Progress
@@ -65,7 +66,7 @@ class Diagnosis(DiagnosisResult, Result):
             for name in self.named
             for key, e in self.parameters(name).items()
         ]
-        left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
+        left = f"{percent(gap.before.nrms)} → {percent(gap.after.nrms)}; noise alone {percent(gap.noise)}"
         facts.append(("Disagreement", left))
         facts += [("Not explained", curve.sentence) for curve in self.curves[:1]]
         if self.dominant is not None:
@@ -123,8 +124,7 @@ def diagnose_request(request: DiagnoseRequest, search_progress: Progress | None 
     recordings = recordings_of(plant, runs, request.plan, turn_of(request.axes_map), request.progress)
     problem = problem_of(plant, recordings)
     check_recordings(problem, recordings, request.without_repeats)
-    trace = Trace()
-    budget = inf if request.thorough else None
+    trace, budget = Trace(), inf if request.thorough else None
     search = diagnose(problem, search_progress or request.progress, budget, request.settings, trace)
     if request.trace is not None:
         trace.write(request.trace)

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.fit import intervals_of
+from ffcomp.diagnosis.gap import Discrepancy
 from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
 from ffcomp.diagnosis.where import Overlay, ResidualCurve, Split, overlays_of
@@ -63,6 +64,13 @@ def page_of(diagnosis: Diagnosis) -> Page:
     about = [f"verdict: {diagnosis.verdict}", f"{len(diagnosis.runs)} runs", band]
     output = None if diagnosis.output is None else Path(diagnosis.output.name)
     return Page(diagnosis.problem.name, about, sections, replace(diagnosis, output=output).answer)
+
+
+def gap_page(gap: Discrepancy) -> Page:
+    """Return the page of a gap: the error by every quantity that it may depend on."""
+    drawn = [_split(TITLES[title], split) for title, split in gap.residual.splits.items()]
+    key = "Orange: with the machine file. Grey: noise."
+    return Page(gap.title, sections=[Section("Where they differ", sentences=[key], drawings=drawn)])
 
 
 # ---- tables --------------------------------------------------------------------------------------
@@ -125,9 +133,9 @@ def splits(result: DiagnosisResult) -> list[Drawing]:
     return [_split(TITLES[title], split, after[title]) for title, split in before.items()]
 
 
-def _split(title: str, before: Split, after: Split, more: float = 0.0) -> Drawing:
-    height = HEIGHT if before.spans else ROW * len(before.labels) + AXIS + more
-    return Drawing("where", title, "", "", WIDTH, height, partial(draw_split, split=before, fitted=after))
+def _split(title: str, *each: Split, more: float = 0.0) -> Drawing:
+    height = HEIGHT if each[0].spans else ROW * len(each[0].labels) + AXIS + more
+    return Drawing("where", title, "", "", WIDTH, height, partial(draw_split, each=each))
 
 
 def overlay(each: Overlay) -> Drawing:
@@ -148,13 +156,12 @@ def _held_out(diagnosis: Diagnosis) -> Drawing:
     )
     left_out = diagnosis.gap.left_out.capitalize()
     before, after = (Split(left_out, labels, excess=tuple(getattr(p, x) for p in places)) for x in ("before", "after"))
-    return replace(_split(left_out, before, after, 0.3), name="held-out", finding=finding)
+    return replace(_split(left_out, before, after, more=0.3), name="held-out", finding=finding)
 
 
 def _curve(curve: ResidualCurve) -> Drawing:
     draw = partial(draw_curve, curve=curve)
-    said = curve.sentence
-    said = f"{said[0].upper()}{said[1:]}."
+    said = f"{curve.sentence[0].upper()}{curve.sentence[1:]}."
     return Drawing("residual", f"{curve.signal} by {curve.against}", said, "", WIDTH, HEIGHT, draw)
 
 
@@ -168,48 +175,44 @@ def draw_curve(box: Box, curve: ResidualCurve) -> None:
     grid(axes)
 
 
-def draw_split(box: Box, split: Split, fitted: Split) -> None:
-    """Draw the error before and after the fit by the labels of one split."""
-    axes = box.subplots()
-    before, after = (np.maximum([times_noise(x) for x in part.excess], LEAST_SHOWN) for part in (split, fitted))
-    if split.spans:
-        _steps(axes, split, before, after)
-    else:
-        _dumbbells(axes, split.labels, before, after)
+def draw_split(box: Box, each: Sequence[Split]) -> None:
+    """Draw the error by the labels of one split: with the machine file, and after a fit if there is one."""
+    axes, split = box.subplots(), each[0]
+    errors = [np.maximum([times_noise(x) for x in part.excess], LEAST_SHOWN) for part in each]
+    (_steps if split.spans else _dumbbells)(axes, split, errors)
 
 
-def _steps(axes: Axes, split: Split, before: FloatArray, after: FloatArray) -> None:
+def _steps(axes: Axes, split: Split, errors: Sequence[FloatArray]) -> None:
     """Labels that follow one another, all equally wide; their edges are the ticks."""
-    at = np.arange(len(before) + 1)
+    count = len(split.spans)
+    at = np.arange(count + 1)
     axes.axhline(1.0, color=NOISE, linewidth=4, zorder=0)
-    axes.stairs(before, at, baseline=None, color=BEFORE, linewidth=2)
-    axes.stairs(after, at, baseline=None, color=AFTER, linewidth=2)
+    for error, colour in zip(errors, (BEFORE, AFTER), strict=False):
+        axes.stairs(error, at, baseline=None, color=colour, linewidth=2)
     edges = [split.spans[0][0], *(b for _, b in split.spans)]
-    every = 1 if len(before) <= FEW_STEPS else 2 if len(before) <= 2 * FEW_STEPS else len(before) // 4
+    every = 1 if count <= FEW_STEPS else 2 if count <= 2 * FEW_STEPS else count // 4
     axes.set_xticks(at[::every], [f"{edge:g}" for edge in edges[::every]])
     axes.set(xlabel=f"{split.title}, {split.unit}", ylabel="error, times the noise", xlim=(0, at[-1]))
-    _times_scale(axes, "y", before, after)
+    _times_scale(axes, "y", errors)
 
 
-def _dumbbells(axes: Axes, labels: Sequence[str], before: FloatArray, after: FloatArray) -> None:
-    rows = np.arange(len(labels))
+def _dumbbells(axes: Axes, split: Split, errors: Sequence[FloatArray]) -> None:
+    rows = np.arange(len(split.labels))
     axes.axvline(1.0, color=NOISE, linewidth=4, zorder=0)
-    axes.hlines(rows, np.minimum(before, after), np.maximum(before, after), color=SOFT, linewidth=1, alpha=0.6)
-    axes.plot(before, rows, "o", color=BEFORE, markersize=7)
-    axes.plot(after, rows, "o", color=AFTER, markersize=7)
-    axes.set_yticks(rows, [_short(label) for label in labels], parse_math=False)
-    axes.set(xlabel="error, times the noise", ylim=(len(labels) - 0.5, -0.5))
+    axes.hlines(rows, np.min(errors, axis=0), np.max(errors, axis=0), color=SOFT, linewidth=1, alpha=0.6)
+    for error, colour in zip(errors, (BEFORE, AFTER), strict=False):
+        axes.plot(error, rows, "o", color=colour, markersize=7)
+    axes.set_yticks(
+        rows, [x if len(x) <= LONGEST_NAME else f"…{x[1 - LONGEST_NAME :]}" for x in split.labels], parse_math=False
+    )
+    axes.set(xlabel="error, times the noise", ylim=(len(rows) - 0.5, -0.5))
     axes.tick_params(axis="y", length=0)
-    _times_scale(axes, "x", before, after)
+    _times_scale(axes, "x", errors)
 
 
-def _short(label: str) -> str:
-    return label if len(label) <= LONGEST_NAME else f"…{label[1 - LONGEST_NAME :]}"
-
-
-def _times_scale(axes: Axes, which: str, *values: FloatArray) -> None:
+def _times_scale(axes: Axes, which: str, values: Sequence[FloatArray]) -> None:
     """Logarithmic, and never so fine that chance looks like a difference."""
-    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    low, high = float(np.min(values)), float(np.max(values))
     limits = (min(0.8 * low, 0.7), max(1.3 * high, 2.0))
     axes.set(**{f"{which}scale": "log", f"{which}lim": limits})
     axis = getattr(axes, f"{which}axis")
@@ -223,7 +226,8 @@ def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
     above, below = box.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
     t = overlay.time_s
     above.plot(t, overlay.before, color=BEFORE, linewidth=1.2)
-    above.fill_between(t, *_around(overlay.measured, overlay.noise_rms), color=NOISE, linewidth=0)
+    near = (overlay.measured - overlay.noise_rms, overlay.measured + overlay.noise_rms)
+    above.fill_between(t, *near, color=NOISE, linewidth=0)
     above.plot(t, overlay.measured, color=REFERENCE, linewidth=2.2)
     above.plot(t, overlay.after, color=AFTER, linewidth=1.2, linestyle=(0, (4, 2)))
     below.axhspan(-overlay.noise_rms, overlay.noise_rms, color=NOISE, linewidth=0)
@@ -233,7 +237,3 @@ def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
     below.set(xlabel="time in the run, s", ylabel=f"error, {unit}")
     for axes in (above, below):
         grid(axes)
-
-
-def _around(x: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
-    return x - half, x + half

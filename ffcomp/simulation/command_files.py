@@ -41,6 +41,7 @@ from models.machine import Machine
 
 FILE_PLAN = "the planned path of the file itself"
 ORIGINAL = "the planned path of the original print, which the compensated file keeps in its comments"
+UNSHAPED = "the planned path of the print as sliced, without the input shaper that the file sets"
 
 
 def read_gcode(
@@ -63,11 +64,10 @@ def read_gcode(
     offset = find_offset(data[:STAMP_REACH])
     reference = read_program(original(data), path, offset_mm=offset, flavor=stamp.flavor, **firmware)
     executed, planned = (plan_program(inside(each), machine) for each in (program, reference))
-    if (shaper := find_shaper(data[:STAMP_REACH])) is not None:
-        plan = planned.trajectory
-        clock, by_axis = reference_clock(plan), Tuned(*shaper).by_axis()
-        return _command(executed.trajectory, plan, clock, machine, ORIGINAL, by_axis), program
-    return compensated_command(executed, planned, machine), program
+    if (shaper := find_shaper(data[:STAMP_REACH])) is None:
+        return compensated_command(executed, planned, machine), program
+    plan, by_axis = planned.trajectory, Tuned(*shaper).by_axis()
+    return _command(executed.trajectory, plan, reference_clock(plan), machine, UNSHAPED, by_axis), program
 
 
 def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:

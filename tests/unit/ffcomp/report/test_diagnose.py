@@ -127,13 +127,7 @@ def plain_text(text: str) -> str:
     return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]+>", " ", body))).replace("\N{NO-BREAK SPACE}", " ")
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("heavy", "effects"),
-        ("plain", "none"),
-    ],
-)
+@pytest.mark.parametrize(("name", "said"), [("heavy", "effects"), ("plain", "none")])
 def test_the_page_says_what_the_json_says(name: str, said: str, request: pytest.FixtureRequest) -> None:
     case: Case = request.getfixturevalue(name)
     assert case.result["verdict"] == said
