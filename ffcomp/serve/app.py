@@ -101,7 +101,7 @@ class Server:
         """Return everything that the page shows."""
         return {
             "version": __version__,
-            "machines": list(map(asdict, machines.listed())),
+            "machines": machines.listed(),
             "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all()],
             "largest_mb": self.settings.largest_bytes // MEGABYTE,
         }
@@ -147,10 +147,7 @@ class Server:
 
     def _plan(self, id_: Any) -> list[Path]:
         """Return the plan's file that another job has made."""
-        if not id_:
-            return []
-        job = self.runner.find(str(id_))
-        return [self.runner.kept.output(job, "moves.json")]
+        return [self.runner.kept.output(self.runner.find(str(id_)), "moves.json")] if id_ else []
 
     def act(self, request: Request, fields: Any) -> dict[str, Any]:
         """Do one thing with a job: cancel, again, remove, keep its machine file."""

@@ -241,7 +241,7 @@ def checked(kind: str, options: Any) -> dict[str, Any]:
     stated = {name: _stated(form[name], value) for name, value in options.items()}
     stated = {name: value for name, value in stated.items() if value not in ("", form[name].default)}
     try:
-        KINDS[kind].check({name: _read(form[name], value) for name, value in stated.items()})
+        KINDS[kind].check({k: value if isinstance(value, bool) else form[k].read(value) for k, value in stated.items()})
     except RequestError as error:
         raise Refused(400, str(error)) from None
     return stated
@@ -256,10 +256,6 @@ def _stated(each: Declared, value: Any) -> bool | str:
     if each.is_switch or isinstance(value, bool | list | dict) or not text.isprintable():
         raise Refused(400, f"{each.option.label}: it cannot be {text[:60]!r}.")
     return text
-
-
-def _read(each: Declared, value: bool | str) -> Any:
-    return value if isinstance(value, bool) else each.read(value)
 
 
 def task_of(kind: str, options: Mapping[str, Any], machine: str, inputs: tuple[Path, ...], out: Path) -> Task:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ffcomp.serve.commands import BETTER, NAME, UPDATES
 from ffcomp.serve.jobs import DONE, Job, JobFolder
@@ -13,19 +14,12 @@ from ffcomp.serve.uploads import Refused
 from models.finding import machine_paths, named_machines, user_folder
 
 
-@dataclass(frozen=True, slots=True)
-class Listed:
-    """A machine as the page lists it."""
-
-    name: str
-    kinematics: str | None
-    printer: str | None
-    own: bool  # it is the user's own
-
-
-def listed() -> list[Listed]:
-    """Return every machine that has a name."""
-    return [Listed(each.name, each.kinematics, each.printer, each.origin == "user") for each in named_machines()]
+def listed() -> list[dict[str, Any]]:
+    """Return every machine that has a name, as the page lists it; `own` are the user's."""
+    return [
+        {"name": each.name, "kinematics": each.kinematics, "printer": each.printer, "own": each.origin == "user"}
+        for each in named_machines()
+    ]
 
 
 def path_of(name: str) -> Path:

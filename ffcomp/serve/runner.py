@@ -18,7 +18,7 @@ from pathlib import Path
 from ffcomp.result import Answer
 from ffcomp.serve import messages
 from ffcomp.serve.answers import answer_of, keep_first_figure
-from ffcomp.serve.commands import PICTURE, REPORT, Step, steps, task_of
+from ffcomp.serve.commands import KINDS, PICTURE, REPORT, Step, steps, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.settings import MEGABYTE, RESERVE, ServeSettings
 from ffcomp.serve.uploads import Refused
@@ -210,11 +210,11 @@ class Runner:
             if code != 0:
                 why = STOPPED if self._stopping else _why(code, place)
                 if step.needed:
-                    self._end_job(job.id, FAILED, error=why, answer=_answer(place))
+                    self._end_job(job.id, FAILED, error=why, answer=_answer(job.kind, place))
                     return
                 notes.append(f"{step.doing} failed: {why}")
         keep_first_figure(place / "out" / REPORT, place / "out" / PICTURE)
-        answer = _answer(place)
+        answer = _answer(job.kind, place)
         self._end_job(job.id, DONE, answer=replace(answer, warnings=[*answer.warnings, *notes]))
 
     def _step(self, id_: str, step: Step, place: Path, number: int) -> int:
@@ -284,11 +284,11 @@ def _why(code: int, place: Path) -> str:
     return messages.why_failed(code, messages.log_end(place))
 
 
-def _answer(place: Path) -> Answer:
+def _answer(kind: str, place: Path) -> Answer:
     """Read what the first step printed; empty where that is no JSON."""
     with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
         result = json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1])
-        text = json.dumps(asdict(answer_of(result)), ensure_ascii=False)
+        text = json.dumps(asdict(answer_of(result, KINDS[kind].form)), ensure_ascii=False)
         return Answer(**json.loads(messages.without_folder(text, place)))
     return Answer()
 

@@ -15,6 +15,7 @@ from ffcomp.importers.values import PrinterConfigError
 from ffcomp.numerics.serialise import keys
 from ffcomp.result import Answer, Result
 from ffcomp.serve.answers import answer_of
+from ffcomp.serve.commands import KINDS
 from ffcomp.steps.archive import StepsError
 from gcode.errors import GcodeError, UnsupportedGcode
 from models.errors import MachineFileError, UnreachableError
@@ -51,12 +52,13 @@ def test_everybody_has_the_same_words() -> None:
 def test_the_page_leaves_commands_out_and_findings_in() -> None:
     told = {
         "headline": "It fits.",
-        "facts": [["Against none", "ffcomp makes this print worse. See ffcomp show out.gcode."]],
+        "facts": [["Against none", "ffcomp makes this print worse. See ffcomp show a. If exact: --robust off."]],
         "warnings": ["Modes are assumed. Measure them: `ffcomp record plan`.", "Give --known mass=1."],
         "next_steps": ["Look at it: ffcomp show out.gcode", "Print it.", "Measure first: `ffcomp record plan`"],
     }
-    shown = answer_of({"answer": told})
-    assert list(shown.facts) == [("Against none", "ffcomp makes this print worse.")]
+    shown = answer_of({"answer": told}, KINDS["compensate"].form)
+    named = "If exact: “Robust to what the machine file does not know: off”."
+    assert list(shown.facts) == [("Against none", f"ffcomp makes this print worse. {named}")]
     assert list(shown.warnings) == ["Modes are assumed.", "Give --known mass=1."]  # no warning is lost
     assert list(shown.next_steps) == ["Print it.", "Measure the machine: see Know my machine."]
 
