@@ -35,7 +35,8 @@ def compare_request(request: CompareRequest) -> Comparison:
     """
     engine.names(request.only)
     machine, notes = load_machine(request.machine), list[str]()
-    plant = load_machine(request.plant) if request.plant else None
+    plant = load_machine(request.plant or machine)
+    check_same_kinematics(machine, plant)
     data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
     if already_processed(data) is not None:
         notes.append(f"{request.file} is already compensated: the comparison uses the original that it contains.")
@@ -46,8 +47,6 @@ def compare_request(request: CompareRequest) -> Comparison:
         offset = placed.offset
         if placed.notable:
             notes.append(placed.reason)
-    if plant is not None:
-        check_same_kinematics(machine, plant)
     done = engine.compare(
         Print(data, str(request.file), machine, offset, request.flavor),
         plant,

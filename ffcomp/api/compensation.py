@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ffcomp.api.machines import load_machine
-from ffcomp.compensation.batch import size_of, workers
+from ffcomp.compensation.batch import size_of, targets_of, workers
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.request import CompensateRequest
 from ffcomp.compensation.result import CompensatedFile
@@ -18,19 +18,18 @@ from gcode.text import PART_BYTES
 
 
 def compensate_print(
-    request: CompensateRequest, name: str = "", advice: Sequence[str] = (), bed: Bed | None = None
+    request: CompensateRequest, target: Path | None, name: str = "", advice: Sequence[str] = (), bed: Bed | None = None
 ) -> CompensatedFile:
-    """Compensate a print; one that is compensated already is left alone.
+    """Compensate a single print; one that is compensated already is left alone.
 
     Parameters
     ----------
-    request : CompensateRequest
+    target : the file that is written; None: nothing is
     name : the file, as messages call it; "": its path
     advice : warnings about how the file was made
     bed : the slicer's, if it has stated it otherwise than in the file
     """
-    machine, file = load_machine(request.machine), Path(request.file)
-    target = None if request.output is None else Path(request.output)
+    machine, (file,) = load_machine(request.machine), request.paths
     jobs = min(request.jobs, max(size_of(file) // PART_BYTES, 1))  # chunks
     with workers(jobs, request.scheduler) as at_once:
         done = compensate_file(
@@ -45,6 +44,8 @@ def _compensate(request: CompensateRequest) -> CompensatedFile:
 
     Parameters
     ----------
+    files : Sliced print: G-code, also in .gz, .gcode.3mf or .bgcode. A single one; call it for each of several.
+    output : File to write, which may be the print itself. Nothing is written without it and output_dir.
     progress : Called with the share of the file that is done.
 
     Raises
@@ -56,7 +57,9 @@ def _compensate(request: CompensateRequest) -> CompensatedFile:
     >>> result = ffcomp.compensate("print.gcode", "mp-delta-pro", "out.gcode")
     >>> result.print_time_s, result.compensated.contour_rms_um
     """
-    done = compensate_print(request)
+    if len(request.paths) > 1:
+        raise RequestError("files: compensate() takes a single print; call it for each.")
+    done = compensate_print(request, *targets_of(request, in_place=False))
     if done.already:
         raise RequestError(f"{done.already} With force=True it is compensated again.")
     return done

@@ -10,8 +10,7 @@ from ffcomp.errors import RequestError
 from ffcomp.estimation import engine as estimation
 from ffcomp.estimation.request import EstimateRequest
 from ffcomp.request import function
-from gcode.container import Source, opened_print
-from models.machine import Machine
+from gcode.container import opened_print
 
 
 def estimate_request(request: EstimateRequest) -> estimation.Estimate:
@@ -27,17 +26,12 @@ def estimate_request(request: EstimateRequest) -> estimation.Estimate:
     """
     path, flavor, offset = Path(request.file), request.flavor, request.offset_mm
     with opened_print(path, request.plate) as source:
-        machine = load_machine(request.machine) if request.machine else _stamped(source, path)
+        stamp = None if request.machine else estimation.stamp_of(source)
+        if stamp is None and not request.machine:
+            raise RequestError(f"{path} does not name its machine: give --machine NAME (ffcomp machines list).")
+        machine = load_machine(request.machine) if stamp is None else machine_of(stamp, path)
         found = estimation.estimate(source, str(path), machine, flavor=flavor, offset=offset)
     return replace(found, lists_layers=request.layers)
-
-
-def _stamped(source: Source, path: Path) -> Machine:
-    """Return the machine that a compensated print names."""
-    stamp = estimation.stamp_of(source)
-    if stamp is None:
-        raise RequestError(f"{path} does not name its machine: give --machine NAME (ffcomp machines list).")
-    return machine_of(stamp, path)
 
 
 estimate = function(EstimateRequest, estimate_request)

@@ -72,10 +72,9 @@ def frf_request(request: FrfRequest) -> FrequencyResponses:
     machine = load_machine(request.machine)
     measured = [response for path in request.measured for response in read_frfs(path)]
     view = _view(request, machine, measured)
-    centre_x, centre_y = machine.kinematics.centre_mm
     positions = _places(request.positions_mm)
     if not len(positions) and not measured:
-        positions = np.array([[centre_x, centre_y]])
+        positions = np.array([machine.kinematics.centre_mm])
     for x, y in positions:
         try:
             machine.kinematics.check_reach(np.array([[x, y, 0.0]]))

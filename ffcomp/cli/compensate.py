@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import fail, say
 from ffcomp.cli.progress import Progress
-from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions, CompensateRequest
-from ffcomp.request import shared_with
+from ffcomp.compensation.request import CompensateRequest
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @verb
-def compensate(request: CompensateFilesRequest) -> Result:
+def compensate(request: CompensateRequest) -> Result:
     """Compensate a print for your printer's vibration.
 
     ffcomp plans the print as the firmware does, computes the carriage paths and inverts the machine's vibration model
@@ -37,48 +36,40 @@ def compensate(request: CompensateFilesRequest) -> Result:
     from ffcomp.integrations.slicer import read_call
     from models.file import load_machine
 
-    targets = targets_of(request)
+    targets = targets_of(request, in_place=True)
     machine, call = load_machine(str(request.machine)), read_call(os.environ)
     advice = _advice(request, machine, call)
-    if len(request.files) == 1:
-        return _compensate_one(request, machine, targets[0], call, advice)
+    if len(targets) == 1:
+        return _compensate_one(replace(request, machine=machine), targets[0], call, advice)
     for sentence in advice:
         say(f"ffcomp: {sentence}")
     return _compensate_all(request, machine, targets, call)
 
 
-def _advice(request: CompensateFilesRequest, machine: Machine, call: Call) -> list[str]:
+def _advice(request: CompensateRequest, machine: Machine, call: Call) -> list[str]:
     """Collect warnings about the slicer's settings, and about an offset that does not suit its bed."""
     from ffcomp.integrations.slicer import bed_of, bed_warning, call_warnings
 
-    files, offset = request.files, request.offset_mm
+    files, offset = request.paths, request.offset_mm
     warnings = call_warnings(call)
     bed = call.bed or (bed_of(files[0]) if len(files) == 1 else None)  # several may be for several beds
     return warnings if bed is None or offset is None else warnings + bed_warning(bed, machine, offset)
 
 
-def _compensate_one(
-    request: CompensateFilesRequest,
-    machine: Machine,
-    target: Path | None,
-    call: Call,
-    advice: list[str],
-) -> CompensatedFile:
+def _compensate_one(request: CompensateRequest, target: Path | None, call: Call, advice: list[str]) -> CompensatedFile:
     """Compensate a single file. The user never sees the name of a slicer's temporary file, but that of the output."""
     from ffcomp.api.compensation import compensate_print
 
-    (file,) = request.files
-    options = shared_with(request, CompensateOptions)
     with Progress(1.0) as progress:
-        one = CompensateRequest(file, machine, target, progress, **options)
-        done = compensate_print(one, call.output_name, advice, call.bed)
-    if call.host and done.output == file:
+        now = replace(request, progress=progress)
+        done = compensate_print(now, target, call.output_name, advice, call.bed)
+    if call.host and done.output == request.paths[0]:
         return replace(done, seen_at=call.output_name if call.host == "File" else "")
     return done
 
 
 def _compensate_all(
-    request: CompensateFilesRequest,
+    request: CompensateRequest,
     machine: Machine,
     targets: list[Path] | list[None],
     call: Call,
@@ -89,7 +80,7 @@ def _compensate_all(
     from ffcomp.errors import interrupts_restored
     from gcode.atomic_write import drafts_noted, replaced_since
 
-    files, noted = request.files, drafts_noted()
+    files, noted = request.paths, drafts_noted()
     results: list[FileResult] = []
     with Progress(sum(map(size_of, files))) as progress:
         work = compensate_files(

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions
+from ffcomp.compensation.request import CompensateOptions, CompensateRequest
 from ffcomp.compensation.result import DIED, FileResult, attempt, failure_of
 from ffcomp.errors import FfcompError, RequestError
 from ffcomp.integrations.slicer import Bed
@@ -93,18 +93,21 @@ def targets_in(folder: Path, files: Sequence[Path]) -> list[Path]:
     return targets
 
 
-def targets_of(request: CompensateFilesRequest) -> list[Path] | list[None]:
-    """Choose the target of each file: step timings never replace G-code."""
-    files = list(request.files)
-    targets = files if request.output_dir is None else targets_in(request.output_dir, files)
+def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | list[None]:
+    """Choose the target of each file: step timings never replace G-code.
+
+    in_place : whether files are changed where no output is named
+    """
+    files, folder = list(request.paths), None if request.output_dir is None else Path(request.output_dir)
+    targets = files if folder is None else targets_in(folder, files)
     if request.kind != "gcode":
         targets = [target.with_suffix(".ffm" if request.kind == "host" else ".npz") for target in targets]
     check_targets(files, targets)
-    if request.dry_run:
+    if request.dry_run or (folder is None and request.output is None and not in_place):
         return [None] * len(files)
-    if request.output_dir is not None:
-        request.output_dir.mkdir(parents=True, exist_ok=True)
-    return [request.output] if request.output is not None else targets
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    return [Path(request.output)] if request.output is not None else targets
 
 
 def check_targets(files: Sequence[Path], targets: Sequence[Path | None]) -> None:

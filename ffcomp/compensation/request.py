@@ -1,11 +1,11 @@
-"""The options of `compensate`: for one print in Python, for several files on the command line."""
+"""The request of `compensate`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 from ffcomp.errors import RequestError
 from ffcomp.options import (
@@ -18,6 +18,7 @@ from ffcomp.options import (
     OFFSET,
     SCHEDULER,
     SEGMENT_RATE,
+    Files,
     Offset,
 )
 from ffcomp.request import (
@@ -178,22 +179,10 @@ class CompensateOptions(Request):
 
 @dataclass(frozen=True)
 class CompensateRequest(CompensateOptions):
-    """A print to be compensated."""
-
-    file: Annotated[str | Path, Argument("Sliced print: G-code, also in .gz, .gcode.3mf or .bgcode.", metavar="FILE")]
-    machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
-    output: Annotated[
-        str | Path | None, Option("File to write, which may be the print itself; None: nothing is written.", OUTPUT)
-    ] = None
-    progress: Callable[[float], None] = silent
-
-
-@dataclass(frozen=True)
-class CompensateFilesRequest(CompensateOptions):
-    """Prints to be compensated, in place unless there is an output."""
+    """Prints to be compensated. Without an output the command line changes them in place, and Python writes nothing."""
 
     files: Annotated[
-        tuple[Path, ...],
+        Files,
         Argument(
             "Sliced prints: G-code, also in .gz, .gcode.3mf or .bgcode. Changed in place without -o or --output-dir.",
             metavar="FILE...",
@@ -201,15 +190,22 @@ class CompensateFilesRequest(CompensateOptions):
     ]
     machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
     output: Annotated[
-        Path | None, Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE")
+        Path | str | None, Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE")
     ] = None
     output_dir: Annotated[
-        Path | None, Option("Write files of the same names here and leave the inputs unchanged.", OUTPUT, metavar="DIR")
+        Path | str | None,
+        Option("Write files of the same names here and leave the inputs unchanged.", OUTPUT, metavar="DIR"),
     ] = None
     dry_run: Annotated[bool, Option("Do everything, write nothing.", OUTPUT)] = False
+    progress: Callable[[float], None] = silent
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files, as `Request` keeps them."""
+        return cast("tuple[Path, ...]", self.files)
 
     def check(self) -> None:
         """Check options that depend on each other."""
         super().check()
-        if self.output is not None and (len(self.files) > 1 or self.output_dir is not None):
+        if self.output is not None and (len(self.paths) > 1 or self.output_dir is not None):
             raise RequestError("-o is for one file; several go into a folder with --output-dir DIR.")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ffcomp.comparison.request import CompareRequest
-from ffcomp.compensation.request import CompensateFilesRequest
+from ffcomp.compensation.request import CompensateRequest
 from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.errors import RequestError
 from ffcomp.identification.request import FitRequest, RingingRequest, ScanRequest, UpdateRequest
@@ -179,7 +179,7 @@ def _measured(verb: str, doing: str, *requests: Callable[..., Request], title: s
 
 
 KINDS: dict[str, Kind] = {
-    "compensate": _kind("compensate", "compensating", _ONE, CompensateFilesRequest, output="{file}"),
+    "compensate": _kind("compensate", "compensating", _ONE, CompensateRequest, output="{file}"),
     "compare": _kind("compare", "comparing with shapers", _ONE, CompareRequest, report=True, title="Compare {name}"),
     "plan": _plan_for("diagnose", title="Moves to diagnose {machine}"),
     "excite": _plan_for("identify", without=("seconds",), title="Moves to fit {machine}"),

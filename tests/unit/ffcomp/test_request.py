@@ -10,7 +10,7 @@ from typing import Annotated
 import pytest
 
 from ffcomp.cli.command import verb
-from ffcomp.compensation.request import CompensateFilesRequest
+from ffcomp.compensation.request import CompensateRequest
 from ffcomp.errors import RequestError
 from ffcomp.request import ACCURACY, Option, function
 from ffcomp.serve.commands import KINDS, Kind, checked, forms, task_of
@@ -21,7 +21,7 @@ STIRRED = list[float]()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stirred(CompensateFilesRequest):
+class Stirred(CompensateRequest):
     """A request that has gained one option."""
 
     stir_hz: Annotated[float, Option("Stir at this rate.", ACCURACY, metavar="HZ", low=1.0, high=9.0, label="Stir")] = 2
