@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, execute, in_parallel
+from ffcomp.comparison.evaluation import Piece, Progress, contour, execute, in_parallel
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.result import EqualQuality
 from ffcomp.comparison.sampling import Print, PrintSlice, accelerated
+from ffcomp.faster.search import secant
 from ffcomp.metrics import contour_statistics
 from models.machine import Machine
 
-LOWEST, HIGHEST, USUAL = 250.0, 40_000.0, 3000.0  # mm/s²
+USUAL = 3000.0  # mm/s², of a print that states no acceleration
+LOWEST, HIGHEST = 250.0, 40_000.0  # mm/s², that are tried
 BRACKET_RATIO = 1.03  # ratio of too fast to acceptable where the search ends
-ROUNDS, USUAL_ROUNDS = 10, 5
+ROUNDS, USUAL_ROUNDS = 10, 4
 QUALITY = "seeking equal quality"  # the stage
-LEAST_STEP, LARGEST_STEP = 1.02, 12.0  # factors, until the bound is found from both sides
-OVERSHOOT = 1.012  # by how much a trial aims beyond the bound
-POWER_RANGE = (0.3, 3.0)  # of the acceleration, that errors may go with
+POWERS = (0.2, 2.5)  # of the acceleration, that errors may go with: the print may be at its speed already
+AIM = 0.995  # times the bound, of a trial
 
 
 def equal_qualities(
@@ -44,10 +45,7 @@ def equal_qualities(
     p99_um : by method, at the print's acceleration: where the search begins
     """
     stated = printed.acceleration_mm_per_s2 or USUAL
-    searches = [
-        Search(bound_um, begin(stated, bound_um / max(p99_um[m.name], 1e-9)), tried=[(stated, p99_um[m.name])])
-        for m in tuned
-    ]
+    searches = [Search([(stated, p99_um[method.name] / bound_um)]) for method in tuned]
     for number in range(ROUNDS):
         todo = [k for k, search in enumerate(searches) if not search.done]
         if not todo:
@@ -58,46 +56,38 @@ def equal_qualities(
             progress(QUALITY, min((begun + share) / USUAL_ROUNDS, 0.99))
 
         p99 = _p99_um([tuned[k] for k in todo], accelerations, slices, plant, tell)
-        for k, *point in zip(todo, accelerations, p99, strict=True):
-            searches[k].take(*point)
+        for k, acceleration, error_um in zip(todo, accelerations, p99, strict=True):
+            searches[k].tried.append((acceleration, error_um / bound_um))
     progress(QUALITY, 1.0)
-    return {method.name: search.result(printed) for method, search in zip(tuned, searches, strict=True)}
+    return {method.name: search.result(printed, bound_um) for method, search in zip(tuned, searches, strict=True)}
 
 
-def begin(stated: float, factor: float) -> float:
-    """Return where a search begins: errors grow about in proportion to the acceleration."""
-    return min(max(stated * min(factor, LARGEST_STEP) ** (0.85 if factor > 1.0 else 1.0), LOWEST), HIGHEST)
-
-
-@dataclass
+@dataclass(frozen=True)
 class Search:
-    """One method's search: the highest acceleration that is known to be good, and the lowest that is not."""
+    """One method's search, by the secant method that `compensate --max-error-um` has, inside what is known.
 
-    bound_um: float
-    first: float  # mm/s²
-    good: tuple[float, float] | None = None  # mm/s² and µm
-    bad: tuple[float, float] | None = None
-    tried: list[tuple[float, float]] = field(default_factory=list)  # mm/s² and µm: hints of before may be the first
-    alike: int = 0  # trials that ended on the same side of the bound as the one before
+    tried : accelerations, mm/s², and their errors, times the bound; the first, a hint, is not of the same slices
+    """
 
-    def take(self, acceleration: float, p99_um: float) -> None:
-        """Learn the error at an acceleration."""
-        self.tried.append((acceleration, p99_um))
-        one_side = self.good is None or self.bad is None
-        self.alike = self.alike + 1 if one_side and (self.good or self.bad) else 0
-        if p99_um <= self.bound_um:
-            self.good = acceleration, p99_um
-        else:
-            self.bad = acceleration, p99_um
+    tried: list[tuple[float, float]]
+
+    @property
+    def good(self) -> tuple[float, float] | None:
+        """The highest acceleration that keeps the bound."""
+        return max((each for each in self.tried[1:] if each[1] <= 1.0), default=None)
+
+    @property
+    def bad(self) -> tuple[float, float] | None:
+        """The lowest that does not; its error is infinite if a command breaks a limit."""
+        return min((each for each in self.tried[1:] if each[1] > 1.0), default=None)
 
     @property
     def done(self) -> bool:
         """Whether more trials would add nothing."""
-        if self.bad is None:
-            return self.capped
-        if self.good is None:
-            return self.bad[0] <= LOWEST
-        return self.bad[0] <= BRACKET_RATIO * self.good[0]
+        if (good := self.good) is None:
+            return self.bad is not None and self.bad[0] <= LOWEST
+        near = self.tried[-1] == good and self._sought(1.0) <= BRACKET_RATIO * good[0]
+        return near or self.capped or (self.bad is not None and self.bad[0] <= BRACKET_RATIO * good[0])
 
     @property
     def capped(self) -> bool:
@@ -105,49 +95,25 @@ class Search:
         return self.good is not None and self.good[0] >= HIGHEST
 
     def next(self) -> float:
-        """Return the next acceleration to try: a little beyond where the bound is expected, then before it."""
-        if self.bad is None and self.good is None:
-            return self.first
-        if self.good is not None and self.bad is not None:
-            return self._between()
-        last = self.good or self.bad or (self.first, np.inf)
-        step = float(np.clip(self._ratio(last) * OVERSHOOT ** (1 if self.good else -1), 1 / LARGEST_STEP, LARGEST_STEP))
-        least = LEAST_STEP ** (4**self.alike)  # after misses, look farther and farther away
-        step = max(step, least) if self.good else min(step, 1 / least)
-        return float(min(max(last[0] * step, LOWEST), HIGHEST))
+        """Return the next acceleration to try."""
+        good, bad, sought = self.good, self.bad, self._sought(AIM)
+        if bad is None:
+            return sought if good is None else min(max(sought, good[0] * BRACKET_RATIO ** len(self.tried)), HIGHEST)
+        if good is None:
+            return sought if sought < bad[0] else max(bad[0] / 2, LOWEST)
+        return sought if good[0] < sought < bad[0] else float(np.sqrt(good[0] * bad[0]))
 
-    def _ratio(self, last: tuple[float, float]) -> float:
-        """Return the factor of acceleration that meets the bound, from the last two errors."""
-        if not np.isfinite(last[1]):
-            return 0.5
-        others = [each for each in self.tried if each[0] != last[0] and np.isfinite(each[1])]
-        power = 1.0  # errors grow about in proportion
-        if others:
-            a, error = min(others, key=lambda each: abs(np.log(each[0] / last[0])))
-            slope = np.log(max(last[1], 1e-9) / max(error, 1e-9)) / np.log(last[0] / a)
-            power = float(np.clip(slope, *POWER_RANGE))
-        return float((self.bound_um / max(last[1], 1e-9)) ** (1 / power))
+    def _sought(self, times_the_bound: float) -> float:
+        """Return where the error is expected to be so many times the bound."""
+        known = [(acceleration, max(error, 1e-9)) for acceleration, error in self.tried if np.isfinite(error)]
+        return float(np.clip(secant(known, 1.0, times_the_bound, POWERS), LOWEST, HIGHEST))
 
-    def _between(self) -> float:
-        """Interpolate in logarithms and step slightly beyond the root, which brackets it from both sides.
-
-        Where one side's error is infinite, and every third time, halve.
-        """
-        assert self.good is not None and self.bad is not None
-        low, high = np.log(self.good[0]), np.log(self.bad[0])
-        middle, over = (low + high) / 2, 0.97 * np.log(BRACKET_RATIO)
-        if not np.isfinite(self.bad[1]) or len(self.tried) % 3 == 0 or low + over > high - over:
-            return float(np.exp(middle))
-        errors = np.log(np.maximum([self.good[1], self.bad[1]], 1e-9) / self.bound_um)
-        share = -errors[0] / max(errors[1] - errors[0], 1e-9)
-        return float(np.exp(np.clip(low + share * (high - low), low + over, high - over)))
-
-    def result(self, printed: Print) -> EqualQuality:
+    def result(self, printed: Print, bound_um: float) -> EqualQuality:
         """Return the highest good acceleration, and the whole print's time with it."""
-        reached = self.good is not None
-        acceleration, p99 = self.good or self.bad or (self.first, np.inf)
+        acceleration, error = self.good or self.bad or self.tried[0]
         plan = accelerated(printed.planned, printed.machine, acceleration)
-        return EqualQuality(acceleration, plan.trajectory.end_t, p99, capped=self.capped, reached=reached)
+        p99_um, reached = error * bound_um, self.good is not None
+        return EqualQuality(acceleration, plan.trajectory.end_t, p99_um, capped=self.capped, reached=reached)
 
 
 def _p99_um(
@@ -168,12 +134,8 @@ def _p99_um(
     p99, at = [], 0
     for group in pieces:
         executed, at = executions[at : at + len(group)], at + len(group)
-        p99.append(_of(executed))
+        p99.append(contour_statistics(contour(executed)).p99_um if executed else np.inf)
     return p99
-
-
-def _of(executions: Sequence[Execution]) -> float:
-    return contour_statistics(contour(executions)).p99_um if executions else np.inf
 
 
 def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:

@@ -161,14 +161,13 @@ def time_by_limit(
     """
     alone = ~np.any(plan.direction[:, :3] != 0.0, axis=1)
     kept, free = as_sliced & ~alone, ~as_sliced & ~alone & ~cooled
-    ramps = plan.accel_t + plan.decel_t
+    ramps, cruise = plan.accel_t + plan.decel_t, plan.cruise_t
     at_top = plan.cruise_v >= BINDING * ceiling.moves.speed
     hard = moves.acceleration >= BINDING * ceiling.moves.acceleration
 
     def time(of: FloatArray, which: BoolArray) -> float:
         return float(of[which].sum())
 
-    cruise = plan.cruise_t
     seconds_by_limit = {
         AS_SLICED: time(plan.duration, kept),
         COOLING: time(plan.duration, cooled & ~alone & ~as_sliced),

@@ -179,9 +179,8 @@ class SectionSearch:
         """Predict, and learn what the carriages allow."""
         self.predicted = self.predict(self.moves)
         demand = self.predicted.acceleration_limits
-        self.top = np.where(
-            demand > TARGET, np.minimum(self.top, self.moves.acceleration * (TARGET / demand)), self.top
-        )
+        allowed = self.moves.acceleration * (TARGET / demand)
+        self.top = np.where(demand > TARGET, np.minimum(self.top, allowed), self.top)
 
     def settle(self, level: float) -> None:
         """Slow down what is beyond the level or a limit; give the slicer's motion back where a spot stays above it.
@@ -266,16 +265,13 @@ class _CommonAcceleration:
                 each.accelerate(self.acceleration, self.bound_mm)
             p99 = max(FORECAST_GAIN * _forecast_percentile(self.sections, self.still_s), 1e-3)
             known.append((self.acceleration, p99))
-            if (
-                abs(p99 / TARGET - 1.0) < FORECAST_RTOL
-                or (p99 < TARGET and self.at_ceiling)
-                or step == FORECAST_STEPS - 1
-            ):
+            met = abs(p99 / TARGET - 1.0) < FORECAST_RTOL or (p99 < TARGET and self.at_ceiling)
+            if met or step == FORECAST_STEPS - 1:
                 return
-            self.acceleration = _secant(known, FORECAST_POWER)
+            self.acceleration = secant(known, FORECAST_POWER)
 
     def step_to_target(self) -> None:
-        self.acceleration = _secant(self.percentiles, PREDICTION_POWER)
+        self.acceleration = secant(self.percentiles, PREDICTION_POWER)
         for each in self.sections:
             each.accelerate(self.acceleration, self.bound_mm)
 
@@ -293,16 +289,19 @@ class _CommonAcceleration:
         return p99
 
 
-def _secant(known: Sequence[tuple[float, float]], usual: float) -> float:
-    """Return the acceleration where the percentile meets the bound.
+def secant(
+    known: Sequence[tuple[float, float]], usual: float, target: float = TARGET, powers: Sequence[float] = POWER_RANGE
+) -> float:
+    """Return the acceleration where the error's percentile meets the target, by the secant method in logarithms.
 
-    known : accelerations and percentiles; the last two give the exponent between them, if they can
+    known : accelerations, mm/s², and percentiles; the last two give the exponent, or `usual` where they cannot
+    powers : the lowest and the highest exponent
     """
     now, p99 = known[-1]
     power = usual
     if len(known) > 1 and abs(np.log(now / known[-2][0])) > LEAST_LOG_STEP:
-        power = float(np.clip(np.log(p99 / known[-2][1]) / np.log(now / known[-2][0]), *POWER_RANGE))
-    return float(np.clip(now * (TARGET / p99) ** (1.0 / power), *ACCELERATION_RANGE))
+        power = float(np.clip(np.log(p99 / known[-2][1]) / np.log(now / known[-2][0]), powers[0], powers[1]))
+    return float(np.clip(now * (target / max(p99, 1e-9)) ** (1.0 / power), *ACCELERATION_RANGE))
 
 
 def _duration_s(sections: Sequence[SectionSearch]) -> float:
@@ -312,9 +311,8 @@ def _duration_s(sections: Sequence[SectionSearch]) -> float:
 def _percentile(sections: Sequence[SectionSearch], still_s: float) -> float:
     """Return the error that a printer at the quantile has for as long as it may, times the bound."""
     trials = [each.predicted for each in sections if each.predicted is not None]
-    return ensemble_percentile(
-        [each.counts for each in trials], still_s / trials[0].step_s, sections[0].ensemble.safety
-    )
+    counts = [each.counts for each in trials]
+    return ensemble_percentile(counts, still_s / trials[0].step_s, sections[0].ensemble.safety)
 
 
 def _forecast_percentile(sections: Sequence[SectionSearch], still_s: float) -> float:
