@@ -12,9 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ffcomp.comparison.result import Comparison, Family, Method
-from ffcomp.comparison.sentences import nick
-from ffcomp.errors import RequestError
+from ffcomp.comparison.result import FIGURES, Comparison, Family, Method, nick
 from ffcomp.numerics.digits import um
 from ffcomp.report.drawing import (
     AFTER,
@@ -46,8 +44,7 @@ SAME_LAYER_MM = 0.05
 
 def drawings(comparison: Comparison) -> list[Drawing]:
     """Return the figures that the comparison has numbers for."""
-    methods = list(comparison.methods.values())
-    rows = ROW * len(methods) + 1.0
+    rows = ROW * len(comparison.methods) + 1.0
 
     def of(name: str, title: str, height: float, caption: str, draw: Callable[[Axes, Comparison], None]) -> Drawing:
         return Drawing(name, title, "", caption, WIDTH, height, partial(_alone, draw=draw, comparison=comparison))
@@ -74,11 +71,13 @@ def _alone(box: Box, draw: Callable[[Axes, Comparison], None], comparison: Compa
 
 
 def figure(comparison: Comparison, name: str) -> Figure:
-    """Draw one figure by its name; RequestError if there is none."""
-    every = {each.name: each for each in drawings(comparison)}
-    if name not in every:
-        raise RequestError(f"There is no figure {name!r}, but {', '.join(every)}.")
-    return figure_of(every[name])
+    """Draw one figure by its name."""
+    return figure_of(next(each for each in drawings(comparison) if each.name == name))
+
+
+draw_methods, draw_close_up, draw_errors_by_layer, draw_errors_by_feature = (
+    partial(figure, name=name) for name in FIGURES
+)
 
 
 # ---- where the errors are ------------------------------------------------------------------------

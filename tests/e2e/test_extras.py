@@ -65,6 +65,6 @@ import ffcomp
 ffcomp.compensate({str(EXAMPLES / "wiggle.gcode")!r}, "kossel", {str(tmp_path / "out.gcode")!r})
 ffcomp.estimate({str(tmp_path / "out.gcode")!r}, "kossel")
 import ffcomp.api.measurements, ffcomp.diagnosis, ffcomp.identification
-import ffcomp.cli.compare, ffcomp.comparison.sentences
+import ffcomp.cli.compare, ffcomp.comparison.result
 """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

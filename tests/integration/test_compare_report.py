@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.evaluation import by
-from ffcomp.comparison.result import Comparison, Peaks
-from ffcomp.comparison.sentences import cautions, findings
+from ffcomp.comparison.result import Comparison, Peaks, cautions, findings
 from tests.support.browser import Visit, visit
 from tests.support.comparison import LAYERS, MACHINE, NASTY, changed, comparison, everything, samples, whole_page
 
