@@ -42,14 +42,10 @@ def parse_figure(text: str) -> Path:
 
 
 MACHINE_NAME = Option(
-    "Machine: a name (see: ffcomp machines list) or the path of its file.", MACHINE, "--machine", "-m", metavar="NAME"
+    "Machine: a name (see: ffcomp machines list) or the path of its file.", MACHINE, "--machine -m", metavar="NAME"
 )
 STAMPED_MACHINE = Option(
-    "Machine: a name or the path of its file. Compensated prints name theirs.",
-    MACHINE,
-    "--machine",
-    "-m",
-    metavar="NAME",
+    "Machine: a name or the path of its file. Compensated prints name theirs.", MACHINE, "--machine -m", metavar="NAME"
 )
 PLANT = Option(
     "Simulated printer, with its effects: a machine's name or file. Default: --machine, nonlinear.",
@@ -79,12 +75,12 @@ PLATE = Option(
 SEGMENT_RATE = Option(
     "Highest segment rate. A lower rate compensates less.", SPEED, metavar="RATE", low=125.0, high=500.0
 )
-JOBS = Option("Number of processes. The output is the same.", SPEED, "--jobs", "-j", metavar="N", low=1)
+JOBS = Option("Number of processes. The output is the same.", SPEED, "--jobs -j", metavar="N", low=1)
 SCHEDULER = Option(
     "Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.", SPEED, metavar="ADDRESS"
 )
 FIGURE = Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE", parse=parse_figure, writes="file")
-MACHINE_FILE = Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE", writes="file")
+MACHINE_FILE = Option("Machine file to write.", OUTPUT, "--output -o", metavar="FILE", writes="file")
 MAX_FLOW = Option(
     "Maximum volumetric flow, mm³/s. Default: the slicer's setting, or else the largest flow as sliced.",
     FASTER,

@@ -22,7 +22,7 @@ import inspect
 import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import KW_ONLY, MISSING, dataclass, fields
 from math import isinf
 from numbers import Integral, Real
 from os import PathLike
@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Any,
+    ClassVar,
     Literal,
     ParamSpec,
     TypeVar,
@@ -57,66 +58,32 @@ FASTER, REACH = "A quicker print", "Who reaches it"
 GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order of the help
 
 
+@dataclass(frozen=True, eq=False)
 class Option:
-    """The description of an option, in addition to its field's name, type and default.
+    """The description of an option, in addition to its field's name, type and default."""
 
-    Parameters
-    ----------
-    help : str
-        One sentence.
-    group : str
-        One of GROUPS.
-    names : str
-        On the command line; none: `--the-field`.
-    metavar : str
-        Placeholder for the value in help.
-    low, high : float
-        Smallest and largest value.
-    choices : tuple of str
-        The allowed values, if its type is not a Literal.
-    env : str
-        Environment variable that is read if the command line does not set the option.
-    parse : callable
-        Makes the value from the text on the command line, or from all texts of a repeated option. It raises
-        RequestError.
-    repeated : bool
-        Whether `parse` takes all the texts of an option that may be repeated.
-    unset : str
-        Text for a default that has none of its own.
-    writes : str
-        "file" or "folder" if the option is a path that is written; empty: it is not.
-    label : str
-        Its name on the page of `ffcomp serve`; none: it is not offered there.
-    """
-
-    positional = False
-
-    def __init__(
-        self,
-        help: str,
-        group: str = "",
-        *names: str,
-        metavar: str = "",
-        low: float | None = None,
-        high: float | None = None,
-        choices: tuple[str, ...] = (),
-        env: str = "",
-        parse: Callable[[Any], Any] | None = None,
-        repeated: bool = False,
-        unset: str = "",
-        writes: Literal["", "file", "folder"] = "",
-        label: str = "",
-    ) -> None:
-        self.help, self.group, self.names, self.metavar = help, group, names, metavar
-        self.low, self.high, self.choices, self.env = low, high, choices, env
-        self.parse, self.repeated = parse, repeated
-        self.unset, self.writes, self.label = unset, writes, label
+    help: str  # one sentence
+    group: str = ""  # one of GROUPS
+    names: str = ""  # on the command line, e.g. `--output -o`; none: `--the-field`
+    _: KW_ONLY
+    metavar: str = ""  # placeholder for the value in help
+    low: float | None = None  # smallest value
+    high: float | None = None  # largest value
+    choices: tuple[str, ...] = ()  # the allowed values, if its type is not a Literal
+    env: str = ""  # environment variable that is read if the command line does not set the option
+    # makes the value from the text on the command line, or from all texts of a repeated option; raises RequestError
+    parse: Callable[[Any], Any] | None = None
+    repeated: bool = False  # whether `parse` takes all the texts of an option that may be repeated
+    unset: str = ""  # text for a default that has none of its own
+    writes: Literal["", "file", "folder"] = ""  # of a path that is written
+    label: str = ""  # its name on the page of `ffcomp serve`; none: it is not offered there
+    positional: ClassVar[bool] = False
 
 
 class Argument(Option):
     """A value that stands on the command line without a name; a tuple takes all of them."""
 
-    positional = True
+    positional: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -148,7 +115,7 @@ class Declared:
     @property
     def names(self) -> tuple[str, ...]:
         """Names on the command line, the long one first."""
-        return self.option.names or (f"--{self.field.replace('_', '-')}",)
+        return tuple(self.option.names.split()) or (f"--{self.field.replace('_', '-')}",)
 
     @property
     def plain_type(self) -> Any:

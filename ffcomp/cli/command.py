@@ -33,14 +33,13 @@ class Shown(Request):
     """What every verb with an answer prints."""
 
     as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
-    quiet: Annotated[bool, Option("Print no progress.", OUTPUT, "--quiet", "-q")] = False
+    quiet: Annotated[bool, Option("Print no progress.", OUTPUT, "--quiet -q")] = False
     report: Annotated[
         Path | None,
         Option(
             "Write answer and figures as one HTML page that opens offline.",
             OUTPUT,
-            "--report",
-            "-r",
+            "--report -r",
             metavar="FILE",
             writes="file",
         ),

@@ -69,10 +69,7 @@ def _compensate_one(request: CompensateRequest, target: Path | None, call: Call,
 
 
 def _compensate_all(
-    request: CompensateRequest,
-    machine: Machine,
-    targets: list[Path] | list[None],
-    call: Call,
+    request: CompensateRequest, machine: Machine, targets: list[Path] | list[None], call: Call
 ) -> CompensatedFiles:
     """Compensate several files; return their results in the order of the files."""
     from ffcomp.compensation.batch import compensate_files, size_of

@@ -31,8 +31,7 @@ class IntegrationRequest(Request):
 
     name: Annotated[str, Argument("A slicer or a host; see: ffcomp integrations list.", metavar="NAME")]
     machine: Annotated[
-        str,
-        Option("Machine to write into it.", MACHINE, "--machine", "-m", metavar="NAME", env="FFCOMP_MACHINE"),
+        str, Option("Machine to write into it.", MACHINE, "--machine -m", metavar="NAME", env="FFCOMP_MACHINE")
     ] = "my-delta"
 
 
@@ -66,7 +65,10 @@ def install_integration(request: InstallRequest) -> None:
     recipe, machine = _recipe(request.name), _anywhere(request.machine)
     if not recipe.wrapper:
         raise RequestError(f"{request.name} needs no wrapper; see: ffcomp integrations show {request.name}")
-    target = _folder(recipe, request.to) / recipe.installed_as
+    folder = request.to or next(iter(recipe.folders()), None)
+    if folder is None:
+        raise RequestError(f"No folder of {recipe.name} was found here; name it with --to DIR.")
+    target = folder / recipe.installed_as
     target.parent.mkdir(parents=True, exist_ok=True)
     replace_atomically(target, [wrapper(recipe, machine, executable()).encode()])
     print(target)
@@ -84,15 +86,6 @@ def _recipe(name: str) -> Recipe:
     if name.lower() not in RECIPES:
         raise RequestError(f"{name}: not one of {', '.join(RECIPES)}.")
     return RECIPES[name.lower()]
-
-
-def _folder(recipe: Recipe, to: Path | None) -> Path:
-    if to is not None:
-        return to
-    folders = recipe.folders()
-    if not folders:
-        raise RequestError(f"No folder of {recipe.name} was found here; name it with --to DIR.")
-    return folders[0]
 
 
 integrations = group(

@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from ffcomp.cli.command import group, verb
-from ffcomp.cli.machines_import import import_machine
+from ffcomp.cli.machines_import import import_machine, number_text, write_new
 from ffcomp.errors import RequestError
 from ffcomp.numerics.serialise import keys
 from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
@@ -106,14 +106,12 @@ class ShownMachine(Result):
     @property
     def facts(self) -> list[Fact]:
         """The file, every parameter with its provenance, sources and modes."""
+        numbers = ((e.key, f"{number_text(e.value)} {e.unit}".rstrip(), e.provenance) for e in self.values)
         return [
             *(("File", self.machine.path), ("sha256", self.machine.sha256)),
-            *(
-                (e.key, f"{_number(e.value)} {e.unit}".rstrip() + f", {e.provenance or 'not stated'}")
-                for e in self.values
-            ),
+            *((key, f"{number}, {origin or 'not stated'}") for key, number, origin in numbers),
             *self.sources.items(),
-            *((f"Modes at {each.place}, Hz (damping ratio)", _mode_text(each)) for each in self.modes),
+            *((f"Modes at {each.place}, Hz (damping ratio)", each.text) for each in self.modes),
         ]
 
     @property
@@ -191,7 +189,7 @@ class NewMachineRequest(Request):
     name: Annotated[str, Argument("Name of the new machine.", metavar="NAME")]
     output: Annotated[
         Path | None,
-        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output", "-o", metavar="FILE"),
+        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output -o", metavar="FILE"),
     ] = None
     source: Annotated[str, Option("Machine to copy: a name or a path.", MACHINE, "--from", metavar="NAME")] = (
         "mp-delta-pro"
@@ -210,12 +208,7 @@ def new_machine(request: NewMachineRequest) -> None:
         )
     text = starting_text(request.name, Path(load_machine(request.source).path))
     path = request.output or user_folder() / f"{request.name}.toml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise RequestError(f"{path}: this file exists already; give another name or another --output.") from None
+    write_new(text, path, "give another name or another --output")
     print(path)
 
 
@@ -260,22 +253,17 @@ class ModesAt:
     frequency_hz: FloatArray
     damping_ratio: FloatArray
 
+    @property
+    def text(self) -> str:
+        """The modes for people."""
+        pairs = zip(self.frequency_hz, self.damping_ratio, strict=True)
+        return ", ".join(f"{frequency:.1f} ({damping:.3f})" for frequency, damping in pairs) or "none"
+
 
 def _modes(machine: Machine) -> list[ModesAt]:
     """Return the modes at the positions that show how they change over the bed."""
     at = [(place, xy, machine.vibration.modes_at(xy)) for place, xy in machine.kinematics.sample_positions.items()]
     return [ModesAt(place, xy, modes.frequencies_hz, modes.damping_ratios) for place, xy, modes in at]
-
-
-def _mode_text(modes: ModesAt) -> str:
-    pairs = zip(modes.frequency_hz, modes.damping_ratio, strict=True)
-    return ", ".join(f"{frequency:.1f} ({damping:.3f})" for frequency, damping in pairs) or "none"
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, list):
-        return ", ".join(map(_number, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 machines = group(

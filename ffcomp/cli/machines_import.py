@@ -27,7 +27,7 @@ def import_machine(request: ImportMachineRequest) -> Result:
 
     Example: ffcomp machines import printer.cfg -o my-printer.toml
     """
-    from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
+    from ffcomp.importers.builder import build_draft, is_incomplete, machine_text, read_printer_config
     from models.file import check_text, find_machine
     from models.finding import user_folder
 
@@ -37,19 +37,18 @@ def import_machine(request: ImportMachineRequest) -> Result:
     text = machine_text(made, request.file)
     if made.is_complete:
         check_text(text, str(request.file))
-    _write(text, path)
+    write_new(text, path, "give another --output", replaced=is_incomplete(path))
     return ImportedMachine(made, path, _loudest_hz(path) if made.is_complete and made.config.shaper_hz else None)
 
 
-def _write(text: str, path: Path) -> None:
-    from ffcomp.importers.builder import is_incomplete
-
+def write_new(text: str, path: Path, remedy: str, *, replaced: bool = False) -> None:
+    """Write a machine file that does not exist yet, or is replaced."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with path.open("w" if is_incomplete(path) else "x", encoding="utf-8") as file:
+        with path.open("w" if replaced else "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise RequestError(f"{path}: this file exists already; give another --output.") from None
+        raise RequestError(f"{path}: this file exists already; {remedy}.") from None
 
 
 def _loudest_hz(path: Path) -> float:
@@ -97,7 +96,7 @@ class ImportedMachine(Result):
     def facts(self) -> list[Fact]:
         """Every value with its source: read, converted, the firmware's default or assumed."""
         values = sorted(self.made.values.items(), key=lambda item: ORDER.index(item[1].how))
-        return [(key, f"{_shown(v.value)}, {v.how}: {v.origin.removeprefix(f'{v.how}: ')}") for key, v in values]
+        return [(key, f"{number_text(v.value)}, {v.how}: {v.origin.removeprefix(f'{v.how}: ')}") for key, v in values]
 
     @property
     def warnings(self) -> list[str]:
@@ -141,7 +140,8 @@ class ImportedMachine(Result):
 ORDER = ("read", "converted", "default", "assumed")
 
 
-def _shown(value: object) -> str:
+def number_text(value: object) -> str:
+    """Return a machine file's value as people read it."""
     if isinstance(value, list):
-        return ", ".join(map(_shown, value)) or "none"
+        return ", ".join(map(number_text, value)) or "none"
     return f"{value:g}" if isinstance(value, float) else str(value)

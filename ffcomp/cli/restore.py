@@ -21,7 +21,7 @@ class RestoreRequest(Request):
     """What `ffcomp restore` is to restore."""
 
     file: Annotated[Path, Argument("Compensated print. Changed in place unless -o is given.", metavar="FILE")]
-    output: Annotated[Path | None, Option("Write here instead.", OUTPUT, "--output", "-o", metavar="FILE")] = None
+    output: Annotated[Path | None, Option("Write here instead.", OUTPUT, "--output -o", metavar="FILE")] = None
 
 
 @verb

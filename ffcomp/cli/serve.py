@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import require, say
 from ffcomp.errors import RequestError
-from ffcomp.request import ADVANCED, OUTPUT, REACH, SPEED, Option, Request
+from ffcomp.request import ADVANCED, OUTPUT, REACH, SPEED, Option, Request, shared_with
 
 if TYPE_CHECKING:
     from socket import socket
 
-    import uvicorn
-
-    from ffcomp.serve.guard import Guard
     from ffcomp.serve.settings import ServeSettings
 
 
@@ -35,8 +33,7 @@ class ServeRequest(Request):
     ] = "127.0.0.1"
     port: Annotated[int, Option("Port to listen on.", REACH, metavar="N", low=0, high=65535)] = 8017
     name: Annotated[
-        tuple[str, ...],
-        Option("Another host name of this server. May be repeated.", REACH, metavar="NAME"),
+        tuple[str, ...], Option("Another host name of this server. May be repeated.", REACH, metavar="NAME")
     ] = ()
     certificate: Annotated[Path | None, Option("Certificate, for HTTPS (PEM).", REACH, metavar="FILE")] = None
     key: Annotated[Path | None, Option("Its private key (PEM).", REACH, metavar="FILE")] = None
@@ -44,7 +41,7 @@ class ServeRequest(Request):
         Path | None, Option("Where work is kept. Default: the user's data folder.", OUTPUT, metavar="DIR")
     ] = None
     largest_mb: Annotated[int, Option("Largest accepted file.", OUTPUT, metavar="MB", low=1)] = 1024
-    jobs: Annotated[int, Option("Jobs that run at the same time.", SPEED, "--jobs", "-j", metavar="N", low=1)] = 1
+    jobs: Annotated[int, Option("Jobs that run at the same time.", SPEED, "--jobs -j", metavar="N", low=1)] = 1
     open_it: Annotated[bool, Option("Open the page in the browser.", ADVANCED, "--open")] = False
 
     def check(self) -> None:
@@ -64,37 +61,24 @@ def serve(request: ServeRequest) -> None:
     """
     for package in ("starlette", "uvicorn"):
         require(package)
-    from ffcomp.serve.settings import MEGABYTE, ServeSettings, is_local, kept_token
-
-    folder = request.folder or _data_folder()
-    settings = ServeSettings(
-        folder=folder,
-        host=request.host,
-        port=request.port,
-        jobs=request.jobs,
-        largest_bytes=request.largest_mb * MEGABYTE,
-        names=request.name,
-        secure=request.certificate is not None,
-        token="" if is_local(request.host) else kept_token(folder),
-    )
-    _run(settings, request)
-
-
-def _data_folder() -> Path:
-    import platformdirs
-
-    return Path(platformdirs.user_data_dir("ffcomp")) / "serve"
-
-
-def _run(settings: ServeSettings, request: ServeRequest) -> None:
     import webbrowser
-    from contextlib import suppress
-    from dataclasses import replace
 
     import uvicorn
 
     from ffcomp.serve.app import Server
+    from ffcomp.serve.settings import MEGABYTE, ServeSettings, is_local, kept_token
 
+    folder = request.folder
+    if folder is None:
+        import platformdirs
+
+        folder = Path(platformdirs.user_data_dir("ffcomp")) / "serve"
+    settings = ServeSettings(
+        **shared_with(request, ServeSettings, folder=folder, names=request.name),
+        largest_bytes=request.largest_mb * MEGABYTE,
+        secure=request.certificate is not None,
+        token="" if is_local(request.host) else kept_token(folder),
+    )
     with _listening(settings) as door:
         settings = replace(settings, port=door.getsockname()[1])
         app = Server(settings).app()
@@ -102,7 +86,20 @@ def _run(settings: ServeSettings, request: ServeRequest) -> None:
         if request.open_it:
             webbrowser.open(settings.address)
         with suppress(KeyboardInterrupt):  # that is how it ends
-            uvicorn.Server(_config(app, request)).run([door])
+            uvicorn.Server(
+                uvicorn.Config(
+                    app,
+                    log_level="warning",
+                    access_log=False,
+                    server_header=False,
+                    ws="none",
+                    timeout_keep_alive=20,
+                    timeout_graceful_shutdown=3,
+                    limit_concurrency=300,
+                    ssl_certfile=request.certificate,
+                    ssl_keyfile=None if request.key is None else str(request.key),
+                )
+            ).run([door])
 
 
 def _listening(settings: ServeSettings) -> socket:
@@ -115,23 +112,6 @@ def _listening(settings: ServeSettings) -> socket:
     except OSError as error:
         where = f"{settings.host}, port {settings.port}"
         raise RequestError(f"{where}: {error.strerror or error}. Choose another with --port N.") from None
-
-
-def _config(app: Guard, request: ServeRequest) -> uvicorn.Config:
-    import uvicorn
-
-    return uvicorn.Config(
-        app,
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        ws="none",
-        timeout_keep_alive=20,
-        timeout_graceful_shutdown=3,
-        limit_concurrency=300,
-        ssl_certfile=None if request.certificate is None else str(request.certificate),
-        ssl_keyfile=None if request.key is None else str(request.key),
-    )
 
 
 def _say(settings: ServeSettings) -> None:

@@ -31,8 +31,7 @@ class ShowRequest(Request):
         Option(
             "Picture: .png, .svg or .pdf. Default: FILE.png.",
             OUTPUT,
-            "--output",
-            "-o",
+            "--output -o",
             metavar="FILE",
             parse=parse_figure,
             writes="file",
@@ -57,18 +56,6 @@ class ShowRequest(Request):
         Literal["compensated", "original"],
         Option("Whose error --gcode-preview shows: compensated or original.", OUTPUT, metavar="WHICH"),
     ] = "compensated"
-
-
-@verb
-def show(request: ShowRequest) -> Result:
-    """Draw a compensated print: reference, uncompensated and compensated path.
-
-    ffcomp simulates both prints with the design model. The errors are the prediction that `ffcomp compensate` stored in
-    the file or, without one, those of the simulation.
-
-    Example: ffcomp show out.gcode
-    """
-    return _show(request)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,7 +112,15 @@ class ShowResult(Result):
         return [expected.next_step] if expected is not None and expected.next_step else []
 
 
-def _show(request: ShowRequest) -> ShowResult:
+@verb
+def show(request: ShowRequest) -> Result:
+    """Draw a compensated print: reference, uncompensated and compensated path.
+
+    ffcomp simulates both prints with the design model. The errors are the prediction that `ffcomp compensate` stored in
+    the file or, without one, those of the simulation.
+
+    Example: ffcomp show out.gcode
+    """
     from ffcomp.api.machines import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import show_figure

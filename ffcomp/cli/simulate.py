@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -16,7 +16,6 @@ from ffcomp.result import Fact, Result
 from ffcomp.simulation.request import SimulateRequest
 
 if TYPE_CHECKING:
-    from ffcomp.simulation.simulation import Simulation
     from models.machine import Machine
 
 
@@ -60,7 +59,19 @@ def simulate(request: SimulateRequest, captures: CapturesRequest) -> Result:
     """
     if captures.as_captures is not None:
         return _write_captures(request, captures, captures.as_captures)
-    return _simulate(request)
+    from ffcomp.api.simulation import read_simulation
+    from ffcomp.simulation.simulation import simulate_command
+
+    command, machine, plant, warnings = read_simulation(request)
+    parts = command.between(request.from_s, request.to_s)
+    if request.recording is not None and len(parts) > 1:
+        times = ", ".join(f"{begin:.3f} to {end:.3f} s" for _, begin, end in parts)
+        raise RequestError(
+            f"-o {request.recording}: something else moves the nozzle in between ({times}), and a run is one motion; "
+            "choose with --from and --to."
+        )
+    with Progress(sum(end - begin for _, begin, end in parts), "simulating") as progress:
+        return simulate_command(replace(request, progress=progress), command, machine, plant, warnings)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,21 +114,3 @@ def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder:
     with Progress(1.0, "simulating") as progress:
         written = write_captures(plan, program, machine, plant, folder, sensor, flavor, progress)
     return Captures(file, plan, plant, flavor, written)
-
-
-def _simulate(request: SimulateRequest) -> Simulation:
-    from dataclasses import replace
-
-    from ffcomp.api.simulation import read_simulation
-    from ffcomp.simulation.simulation import simulate_command
-
-    command, machine, plant, warnings = read_simulation(request)
-    parts = command.between(request.from_s, request.to_s)
-    if request.recording is not None and len(parts) > 1:
-        times = ", ".join(f"{begin:.3f} to {end:.3f} s" for _, begin, end in parts)
-        raise RequestError(
-            f"-o {request.recording}: something else moves the nozzle in between ({times}), and a run is one motion; "
-            "choose with --from and --to."
-        )
-    with Progress(sum(end - begin for _, begin, end in parts), "simulating") as progress:
-        return simulate_command(replace(request, progress=progress), command, machine, plant, warnings)

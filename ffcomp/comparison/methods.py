@@ -39,10 +39,7 @@ class Compensated:
 
 
 def compensated(
-    planned: PlannedProgram,
-    model: InverseModel,
-    flavor: str,
-    offset: tuple[float, float] = (0.0, 0.0),
+    planned: PlannedProgram, model: InverseModel, flavor: str, offset: tuple[float, float] = (0.0, 0.0)
 ) -> Compensated:
     """Compensate a planned program, whose positions were shifted by an offset (mm), as the command line does."""
     chunk, context = PlannedChunk.whole(planned), Context(model, flavor, offset)

@@ -39,8 +39,7 @@ Kind = Literal["gcode", "steps", "klipper-steps", "host"]
 MACHINE_TO_PRINT_ON = Option(
     "Machine: a name (see: ffcomp machines list) or the path of its file.",
     MACHINE,
-    "--machine",
-    "-m",
+    "--machine -m",
     metavar="NAME",
     env="FFCOMP_MACHINE",
 )
@@ -190,7 +189,7 @@ class CompensateRequest(CompensateOptions):
     ]
     machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
     output: Annotated[
-        Path | str | None, Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE")
+        Path | str | None, Option("Write here and leave the input unchanged.", OUTPUT, "--output -o", metavar="FILE")
     ] = None
     output_dir: Annotated[
         Path | str | None,

@@ -41,8 +41,7 @@ class DiagnoseRequest(Request):
         Option(
             "Improved machine file. Written if an effect is named or retuning closes the model discrepancy.",
             OUTPUT,
-            "--output",
-            "-o",
+            "--output -o",
             metavar="FILE",
             writes="file",
         ),

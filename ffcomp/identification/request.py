@@ -177,7 +177,7 @@ class UpdateRequest(Request):
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[
         Path,
-        Option("Machine file to write; it may be the one that is updated.", OUTPUT, "--output", "-o", metavar="FILE"),
+        Option("Machine file to write; it may be the one that is updated.", OUTPUT, "--output -o", metavar="FILE"),
     ]
     plan: Annotated[Path | None, MOVES_PLAN] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None

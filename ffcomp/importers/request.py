@@ -16,7 +16,7 @@ class ImportMachineRequest(Request):
     file: Annotated[Path, Argument("printer.cfg, config.g, or a text with Marlin's answer to M503.", metavar="FILE")]
     output: Annotated[
         Path | None,
-        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output", "-o", metavar="FILE"),
+        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output -o", metavar="FILE"),
     ] = None
     like: Annotated[
         str | None,

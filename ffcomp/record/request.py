@@ -17,7 +17,7 @@ CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 
 GCODE = Option(
-    "G-code to write. The plan is written next to it (.json).", OUTPUT, "--output", "-o", metavar="FILE", writes="file"
+    "G-code to write. The plan is written next to it (.json).", OUTPUT, "--output -o", metavar="FILE", writes="file"
 )
 FLAVOR = Option(
     "Firmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME", choices=FLAVORS, label="Firmware"
@@ -27,7 +27,7 @@ CHIP = Option(
     MACHINE,
     metavar="NAME",
 )
-RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER", writes="folder")
+RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, "--output -o", metavar="FOLDER", writes="folder")
 
 
 def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:

@@ -47,7 +47,7 @@ class Server:
         settings = replace(settings, folder=settings.folder.resolve())  # processes run in folders of their own
         self.settings = settings
         self.uploads = Uploads(settings)
-        self.runner = Runner(settings, machines.path_of, machines.kept_if_imported)
+        self.runner = Runner(settings)
         self.creating = threading.Lock()
 
     def app(self) -> Guard:

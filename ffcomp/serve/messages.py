@@ -60,5 +60,4 @@ def why_failed(code: int, text: str) -> str:
     lines = [line.removeprefix(OURS) for line in text.splitlines() if line.startswith(OURS)]
     if code == 1 and "Traceback" in text:
         return _FAULT
-    usage = [line.removeprefix("Error: ") for line in text.splitlines() if line.startswith("Error: ")]
-    return (lines or usage or [f"It ended with exit code {code}."])[-1]
+    return (lines or [f"It ended with exit code {code}."])[-1]

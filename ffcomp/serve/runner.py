@@ -16,7 +16,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from ffcomp.result import Answer
-from ffcomp.serve import messages
+from ffcomp.serve import machines, messages
 from ffcomp.serve.answers import answer_of, keep_first_figure
 from ffcomp.serve.commands import KINDS, PICTURE, REPORT, Step, steps, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
@@ -34,24 +34,10 @@ MOST_JOBS = 500
 
 
 class Runner:
-    """All jobs of one server; safe to use from several threads.
+    """All jobs of one server; safe to use from several threads."""
 
-    Parameters
-    ----------
-    settings : ServeSettings
-    find_machine : callable
-        Gives a machine file's path for its name.
-    ended : callable
-        Called with each job that is done; returns it, perhaps with a longer answer.
-    """
-
-    def __init__(
-        self,
-        settings: ServeSettings,
-        find_machine: Callable[[str], Path],
-        ended: Callable[[Job, Path], Job] = lambda job, place: job,
-    ) -> None:
-        self.settings, self.find_machine, self.ended = settings, find_machine, ended
+    def __init__(self, settings: ServeSettings) -> None:
+        self.settings = settings
         self.kept = JobFolder(settings.folder / "jobs")
         self._changed = threading.Condition()
         self._jobs: dict[str, Job] = {}
@@ -199,7 +185,7 @@ class Runner:
         shutil.rmtree(place / "out", ignore_errors=True)
         (place / "out").mkdir()
         (place / "log.txt").unlink(missing_ok=True)
-        machine = str(self.find_machine(job.machine)) if job.machine else ""
+        machine = str(machines.path_of(job.machine)) if job.machine else ""
         inputs = tuple(place / "in" / name for name in job.inputs)
         todo = steps(job.kind, task_of(job.kind, job.options, machine, inputs, place / "out"))
         notes: list[str] = []
@@ -258,7 +244,7 @@ class Runner:
             job = replace(job, state=state, error=error, answer=answer or Answer(), outputs=outputs, ended=time.time())
             job = replace(job, share=None, doing="", pid=0)
         if state == DONE:
-            job = self.ended(job, place)
+            job = machines.kept_if_imported(job, place)
         with self._changed:
             self._keep(job)
 

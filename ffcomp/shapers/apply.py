@@ -14,11 +14,7 @@ Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at an
 
 
 def shape(
-    position: Position,
-    t: FloatArray,
-    x: Shaper | None = None,
-    y: Shaper | None = None,
-    z: Shaper | None = None,
+    position: Position, t: FloatArray, x: Shaper | None = None, y: Shaper | None = None, z: Shaper | None = None
 ) -> FloatArray:
     """Return the shaped position : (k, 3) mm at the times t : (k,) s; an axis without a shaper stays as planned.
 

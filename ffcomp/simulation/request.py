@@ -31,7 +31,7 @@ class SimulateRequest(Request):
     plant: Annotated[MachineLike | None, PLANT] = None
     recording: Annotated[
         str | Path | None,
-        Option("Write a recording (CSV) for ffcomp gap.", OUTPUT, "--output", "-o", metavar="FILE", writes="file"),
+        Option("Write a recording (CSV) for ffcomp gap.", OUTPUT, "--output -o", metavar="FILE", writes="file"),
     ] = None
     rate_hz: Annotated[
         float,

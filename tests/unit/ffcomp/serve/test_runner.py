@@ -52,7 +52,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def runner(folder: Path, jobs: int = 1) -> Iterator[Runner]:
-    made = Runner(ServeSettings(folder / "work", jobs=jobs), lambda name: Path(f"{name}.toml"))
+    made = Runner(ServeSettings(folder / "work", jobs=jobs))
     made.start()
     yield made
     made.stop()
@@ -153,7 +153,7 @@ def test_no_more_run_at_a_time_than_allowed(tmp_path: Path) -> None:
 def test_a_process_that_a_killed_server_left_is_ended(tmp_path: Path) -> None:
     with runner(tmp_path) as made:
         job = running(made, add(made, "slow"))
-        second = Runner(made.settings, made.find_machine)  # a server that was killed has ended nothing
+        second = Runner(made.settings)  # a server that was killed has ended nothing
         second.start()
         until(lambda: not alive(job.pid))
         assert second.find(job.id).state == FAILED
