@@ -12,8 +12,9 @@ wait inside it), a row of `VERBS` in `ffcomp/cli/app.py`, and its Python functio
 
 Names: `--the-field` unless the Option names others. A `bool` is a switch; `--no-…` exists if its default is True or
 None. A `tuple[X, ...]` may be repeated. A type that cannot be made from text directly has a `parse`. The page of
-`ffcomp serve` offers the options that have a `label`. A field without an Option is for Python only. Ranges and choices
-(`Literal`) are checked whenever a request is made; rules that involve several fields go into `check`.
+`ffcomp serve` offers the options that have a `label`. A field without an Option is for Python only; a text in its
+annotation describes it. Ranges and choices (`Literal`) are checked whenever a request is made; rules that involve
+several fields go into `check`.
 """
 
 from __future__ import annotations
@@ -333,31 +334,27 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
 
     call.__name__ = call.__qualname__ = name
     call.__module__, call.__signature__ = work.__module__, signature  # type: ignore[attr-defined]
-    call.__doc__ = _docstring(inspect.cleandoc(work.__doc__ or ""), signature, declared(request))  # type: ignore[arg-type]
+    options: Iterator[Declared] = _declared(request, machine)
+    words = {each.field: f"{each.option.help} {each.range and f'[{each.range}]'}".rstrip() for each in options}
+    words = {name: each.replace(" May be repeated.", "") for name, each in words.items()}
+    noted = get_type_hints(request, localns=machine, include_extras=True).items()
+    words |= {name: each for name, hint in noted for each in getattr(hint, "__metadata__", ()) if isinstance(each, str)}
+    call.__doc__ = _docstring(inspect.cleandoc(work.__doc__ or ""), signature, words)
     return call
 
 
-def _docstring(text: str, signature: inspect.Signature, options: Sequence[Declared]) -> str:
-    """Complete a worker's docstring in NumPy's format: parameters it does not describe itself, and what it returns."""
-    summary, own, rest = text, "", ""
-    if "Parameters\n----------\n" in text:
-        summary, _, own = text.partition("Parameters\n----------\n")
-        own, _, rest = own.partition("\n\n")
-    elif "Raises\n------" in text:
-        summary, heading, rest = text.partition("Raises\n------")
-        rest = heading + rest
-    described = {row.partition(" : ")[0]: row.partition(" : ")[2] for row in own.splitlines()}
-    helps = {each.field: f"{each.option.help} {each.range and f'[{each.range}]'}".rstrip() for each in options}
+def _docstring(text: str, signature: inspect.Signature, words: Mapping[str, str]) -> str:
+    """Complete a worker's docstring in NumPy's format: with its parameters, in these words, and what it returns."""
+    summary, heading, rest = text.partition("Raises\n------")
     rows = []
     for name, parameter in signature.parameters.items():
         default = "" if parameter.default is parameter.empty else f", default {_short(parameter.default)}"
-        words = described.get(name) or helps.get(name, "").replace(" May be repeated.", "")
-        words = re.sub(r"--[a-z][\w-]+", lambda match: match[0][2:].replace("-", "_"), words)
-        rows += [f"{name} : {_plain(parameter.annotation)}{default}", f"    {words}"]
+        said = re.sub(r"--[a-z][\w-]+", lambda match: match[0][2:].replace("-", "_"), words[name])
+        rows += [f"{name} : {_plain(parameter.annotation)}{default}", f"    {said}"]
     returned = signature.return_annotation
     what = inspect.cleandoc(returned.__doc__ or "").partition("\n\n")[0].replace("\n", " ")
     parts = [summary.rstrip(), "", "Parameters", "----------", *rows, "", "Returns", "-------", returned.__name__]
-    return "\n".join([*parts, f"    {what}", "", rest])
+    return "\n".join([*parts, f"    {what}", "", heading + rest])
 
 
 def _short(value: Any) -> str:

@@ -123,7 +123,7 @@ def mode_inverse(name: str, frequency_hz: float, mode_hz: float, damping_ratio: 
     name, frequency_hz : of the kernel, one of `KERNELS`
     mode_hz, damping_ratio : of the mode that is inverted
     """
-    omega, support = 2 * np.pi * mode_hz, KERNELS[name].support_s(frequency_hz)
+    omega, support = 2 * np.pi * mode_hz, KERNELS[name].support_periods / frequency_hz
     w = np.polynomial.Polynomial(KERNELS[name].coefficients[::-1])
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     at, share = nodes / 2, weights / 2

@@ -21,10 +21,6 @@ from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 def compare_request(request: CompareRequest) -> Comparison:
     """Compare ffcomp with every input shaper on a print.
 
-    Parameters
-    ----------
-    progress : Called with the current step and the share of it that is done.
-
     Raises
     ------
     GcodeError, MachineFileError, NothingToDo, RequestError

@@ -42,12 +42,6 @@ def compensate_print(
 def _compensate(request: CompensateRequest) -> CompensatedFile:
     """Compensate a print for a printer's vibration.
 
-    Parameters
-    ----------
-    files : Sliced print: G-code, also in .gz, .gcode.3mf or .bgcode. A single one; call it for each of several.
-    output : File to write, which may be the print itself. Nothing is written without it and output_dir.
-    progress : Called with the share of the file that is done.
-
     Raises
     ------
     GcodeError, MachineFileError, LimitsError, SolverError, NothingToDo, RequestError

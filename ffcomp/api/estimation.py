@@ -10,7 +10,8 @@ from ffcomp.errors import RequestError
 from ffcomp.estimation import engine as estimation
 from ffcomp.estimation.request import EstimateRequest
 from ffcomp.request import function
-from gcode.container import opened_print
+from gcode.container import ends_of, opened_print
+from gcode.embedded import find_stamp
 
 
 def estimate_request(request: EstimateRequest) -> estimation.Estimate:
@@ -26,7 +27,7 @@ def estimate_request(request: EstimateRequest) -> estimation.Estimate:
     """
     path, flavor, offset = Path(request.file), request.flavor, request.offset_mm
     with opened_print(path, request.plate) as source:
-        stamp = None if request.machine else estimation.stamp_of(source)
+        stamp = None if request.machine else find_stamp(*ends_of(source)[:2])
         if stamp is None and not request.machine:
             raise RequestError(f"{path} does not name its machine: give --machine NAME (ffcomp machines list).")
         machine = load_machine(request.machine) if stamp is None else machine_of(stamp, path)

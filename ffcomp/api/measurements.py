@@ -15,10 +15,6 @@ from ffcomp.request import function
 def _identify(request: IdentifyRequest) -> MachineFit:
     """Fit a machine file's parameters to measurements, with their uncertainties.
 
-    Parameters
-    ----------
-    progress : called with a sentence for each step of the work
-
     Raises
     ------
     MeasurementError, MachineFileError, RequestError

@@ -56,11 +56,6 @@ def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyRes
 def frf_request(request: FrfRequest) -> FrequencyResponses:
     """Compute frequency responses of the linear model.
 
-    Parameters
-    ----------
-    positions_mm : X, Y in mm, or an (n, 2) array of them; none: the middle of the bed
-    frequency_hz : (k,) array, Hz; None: from the lowest to the highest in steps
-
     Raises
     ------
     MachineFileError, MeasurementError, RequestError

@@ -41,10 +41,6 @@ def _placement(request: SimulateRequest, machine: Machine) -> Placement:
 def _simulate(request: SimulateRequest) -> Simulation:
     """Simulate a print or step timings on the nonlinear printer.
 
-    Parameters
-    ----------
-    progress : Called with the print seconds done so far.
-
     Raises
     ------
     GcodeError, MachineFileError, NothingToDo, RequestError

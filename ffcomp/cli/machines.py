@@ -81,7 +81,9 @@ def show_machine(request: MachineRequest) -> Result:
     from models.machine import sources
 
     loaded = load_plant(request.machine)
-    return ShownMachine(loaded, entries(Path(loaded.path)), _modes(loaded), sources(loaded))
+    at = [(place, xy, loaded.vibration.modes_at(xy)) for place, xy in loaded.kinematics.sample_positions.items()]
+    modes = [ModesAt(place, xy, found.frequencies_hz, found.damping_ratios) for place, xy, found in at]
+    return ShownMachine(loaded, entries(Path(loaded.path)), modes, sources(loaded))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,7 +248,7 @@ def _instability(places: FloatArray) -> list[str]:
 
 @dataclass(frozen=True)
 class ModesAt:
-    """The modes at one place."""
+    """The modes at one of the places that show how they change over the bed."""
 
     place: str
     position_mm: FloatArray  # (2,)
@@ -258,12 +260,6 @@ class ModesAt:
         """The modes for people."""
         pairs = zip(self.frequency_hz, self.damping_ratio, strict=True)
         return ", ".join(f"{frequency:.1f} ({damping:.3f})" for frequency, damping in pairs) or "none"
-
-
-def _modes(machine: Machine) -> list[ModesAt]:
-    """Return the modes at the positions that show how they change over the bed."""
-    at = [(place, xy, machine.vibration.modes_at(xy)) for place, xy in machine.kinematics.sample_positions.items()]
-    return [ModesAt(place, xy, modes.frequencies_hz, modes.damping_ratios) for place, xy, modes in at]
 
 
 machines = group(

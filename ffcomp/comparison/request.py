@@ -89,7 +89,9 @@ class CompareRequest(Request):
     flavor: Annotated[str, FLAVOR] = ""
     max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     plate: Annotated[int | None, PLATE] = None
-    progress: Callable[[str, float], None] = silent
+    progress: Annotated[
+        Callable[[str, float], None], "Called with the current step and the share of all that is done."
+    ] = silent
 
     def check(self) -> None:
         """Check shares and layers."""

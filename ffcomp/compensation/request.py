@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
@@ -13,6 +13,7 @@ from ffcomp.options import (
     FLAVOR,
     JOBS,
     KEEP_SPEED,
+    MACHINE_NAME,
     MAX_FLOW,
     MIN_LAYER_TIME,
     OFFSET,
@@ -36,13 +37,7 @@ from ffcomp.request import (
 )
 
 Kind = Literal["gcode", "steps", "klipper-steps", "host"]
-MACHINE_TO_PRINT_ON = Option(
-    "Machine: a name (see: ffcomp machines list) or the path of its file.",
-    MACHINE,
-    "--machine -m",
-    metavar="NAME",
-    env="FFCOMP_MACHINE",
-)
+MACHINE_TO_PRINT_ON = replace(MACHINE_NAME, env="FFCOMP_MACHINE")
 
 
 def parse_errors(texts: Sequence[str]) -> float | dict[str, float]:
@@ -186,17 +181,20 @@ class CompensateRequest(CompensateOptions):
             "Sliced prints: G-code, also in .gz, .gcode.3mf or .bgcode. Changed in place without -o or --output-dir.",
             metavar="FILE...",
         ),
+        "Sliced print: G-code, also in .gz, .gcode.3mf or .bgcode. A single one; call it for each of several.",
     ]
     machine: Annotated[MachineLike, MACHINE_TO_PRINT_ON]
     output: Annotated[
-        Path | str | None, Option("Write here and leave the input unchanged.", OUTPUT, "--output -o", metavar="FILE")
+        Path | str | None,
+        Option("Write here and leave the input unchanged.", OUTPUT, "--output -o", metavar="FILE"),
+        "File to write, which may be the print itself. Nothing is written without it and output_dir.",
     ] = None
     output_dir: Annotated[
         Path | str | None,
         Option("Write files of the same names here and leave the inputs unchanged.", OUTPUT, metavar="DIR"),
     ] = None
     dry_run: Annotated[bool, Option("Do everything, write nothing.", OUTPUT)] = False
-    progress: Callable[[float], None] = silent
+    progress: Annotated[Callable[[float], None], "Called with the share of the file that is done."] = silent
 
     @property
     def paths(self) -> tuple[Path, ...]:

@@ -71,10 +71,6 @@ class Discrepancy(Result):
 def gap_request(request: GapRequest) -> Discrepancy:
     """Measure where and how much recordings and simulation disagree.
 
-    Parameters
-    ----------
-    progress : takes sentences on what is being done
-
     Raises
     ------
     MeasurementError, MachineFileError

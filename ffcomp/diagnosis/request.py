@@ -27,7 +27,7 @@ class GapRequest(Request):
     machine: Annotated[MachineLike, MACHINE_NAME]
     plan: Annotated[Path | None, MOVES_PLAN] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
-    progress: Callable[[str], None] = silent
+    progress: Annotated[Callable[[str], None], "Takes sentences on what is being done."] = silent
 
 
 @dataclass(frozen=True)
@@ -67,5 +67,5 @@ class DiagnoseRequest(Request):
         Path | None,
         Option("Write every fit and decision of the search to this JSON file.", OUTPUT, metavar="FILE", writes="file"),
     ] = None
-    settings: SearchSettings = SETTINGS  # of the search; from Python
-    progress: Callable[[str], None] = silent
+    settings: Annotated[SearchSettings, "How broad the search is, see `ffcomp.diagnosis.settings`."] = SETTINGS
+    progress: Annotated[Callable[[str], None], "Takes sentences on what is being done."] = silent

@@ -104,13 +104,8 @@ def _digits(value: Any) -> str:
 def diagnose_request(request: DiagnoseRequest, search_progress: Progress | None = None) -> Diagnosis:
     """Find the physical effect that a machine file lacks, and its size.
 
-    The improved machine file is written only if an effect is named or retuning closes the discrepancy.
-
-    Parameters
-    ----------
-    settings : how broad the search is and what it keeps, see `ffcomp.diagnosis.settings`
-    progress : takes sentences on what is being done
-    search_progress : of the search, if it is shown otherwise than the rest
+    The improved machine file is written only if an effect is named or retuning closes the discrepancy. The search may
+    have a progress of its own.
 
     Raises
     ------

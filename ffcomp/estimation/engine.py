@@ -17,7 +17,7 @@ from ffcomp.planner.reach import Reach
 from ffcomp.result import Fact, Result, clock
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
-from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
+from gcode.embedded import find_offset, find_stamp, holds_original, original_blocks
 from models.machine import Machine
 
 MOST_LINES = 4  # of each command whose time is not known
@@ -100,12 +100,6 @@ def _lines(unknown: Unknown) -> str:
     """Where, as far as a sentence can hold it."""
     first, more = ", ".join(map(str, unknown.lines[:MOST_LINES])), unknown.count - MOST_LINES
     return f"line{'s' * (unknown.count > 1)} {first}{f' and {more} more' if more > 0 else ''}"
-
-
-def stamp_of(source: Source) -> Stamp | None:
-    """Return the stamp of a compensated file."""
-    head, tail, _ = ends_of(source)
-    return find_stamp(head, tail)
 
 
 def estimate(

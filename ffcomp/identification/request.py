@@ -97,7 +97,7 @@ class IdentifyRequest(Request):
     rough: Annotated[
         bool, Option("Also write modes that leave more than 20 % of their measurement unexplained.", ACCURACY)
     ] = False
-    progress: Callable[[str], None] = silent
+    progress: Annotated[Callable[[str], None], "Called with a sentence for each step of the work."] = silent
 
     def check(self) -> None:
         """Raise RequestError for an axis that is none."""

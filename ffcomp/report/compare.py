@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import PurePath
 from typing import Any
@@ -156,11 +156,7 @@ def _errors(axes: Axes, comparison: Comparison) -> None:
         axes.text(0.9 * rms, k, f"{best}{um(t.contour_rms_um)}  ", ha="right", va="center", fontsize=8)
     axes.set_xlabel(f"contour error {comparison.where}, µm")
     axes.margins(x=0.25)  # for the number of the leftmost dot
-    _rows(axes, comparison, methods)
     plain_decades(axes.xaxis)
-
-
-def _rows(axes: Axes, comparison: Comparison, methods: Sequence[Method]) -> None:
     axes.set_yticks(range(len(methods)), [clipped(method.label, 26) for method in methods], parse_math=False)
     for label, method in zip(axes.get_yticklabels(), methods, strict=True):
         label.set_fontweight("bold" if method.name in (comparison.compensated, comparison.best_fixed) else "normal")
@@ -176,19 +172,16 @@ def _rows(axes: Axes, comparison: Comparison, methods: Sequence[Method]) -> None
 def page_of(comparison: Comparison) -> Page:
     """Return the page of a comparison."""
     about = [f"machine {comparison.machine.name}", f"evaluated on {comparison.plant.name}"]
-    drawn = drawings(comparison)
+    drawn, methods = drawings(comparison), comparison.methods.values()
+    rows = [(m.label, m.name, "; ".join([m.tuning, *dict.fromkeys(m.warnings)])) for m in methods]
+    tunings = Table(("method", "name for --only", "settings and warnings"), rows)
     sections = [
         Section("Where it shows", drawings=drawn[:3]),
         Section("Method by method", drawings=drawn[3:]),
-        Section("How each method was set", tables=[_tunings(comparison)], folded=True),
+        Section("How each method was set", tables=[tunings], folded=True),
         Section("Settings", tables=[Table(("setting", "value"), _settings(comparison))], folded=True),
     ]
     return Page(PurePath(comparison.print_name).name, about, sections)
-
-
-def _tunings(comparison: Comparison) -> Table:
-    rows = [(m.label, m.name, "; ".join([m.tuning, *dict.fromkeys(m.warnings)])) for m in comparison.methods.values()]
-    return Table(("method", "name for --only", "settings and warnings"), rows)
 
 
 def _settings(comparison: Comparison) -> list[tuple[str, str]]:

@@ -40,7 +40,7 @@ class FrfRequest(Request):
     positions_mm: Annotated[
         Sequence[Position],
         Option(
-            "Position on the bed, mm. May be repeated.",
+            "Position, mm; default: middle. May be repeated.",
             MACHINE,
             "--at",
             metavar="X,Y",
@@ -70,7 +70,7 @@ class FrfRequest(Request):
     ] = None
     highest_hz: Annotated[float, Option("Highest frequency.", ADVANCED, metavar="HZ", low=1.0)] = 200.0
     step_hz: Annotated[float, Option("Frequency step.", ADVANCED, metavar="HZ", low=0.01)] = 0.5
-    frequency_hz: FloatArray | None = None
+    frequency_hz: Annotated[FloatArray | None, "(k,) array, Hz; None: from the lowest to the highest in steps."] = None
 
     @property
     def start_hz(self) -> float:

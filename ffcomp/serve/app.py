@@ -28,7 +28,7 @@ from ffcomp.serve.settings import MEGABYTE, ServeSettings
 from ffcomp.serve.uploads import Refused, Uploads, is_full, new_id
 from ffcomp.version import __version__
 
-BODY = 1 << 16  # bytes of a request that is not a file
+BODY, MOST_FILES = 1 << 16, 500  # bytes of a request that is not a file, and files of a job
 PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
@@ -122,7 +122,10 @@ class Server:
     def create(self, request: Request, fields: Any) -> dict[str, Any]:
         """Queue a job: `kind`, `files` (ids), `machine` (a name), `options`, and `plan`, the job that made it."""
         kind, options = str(fields.get("kind")), checked(str(fields.get("kind")), fields.get("options", {}))
-        files = [self.uploads.find(str(each)) for each in _list(fields.get("files", []))]
+        ids = fields.get("files", [])
+        if not isinstance(ids, list) or len(ids) > MOST_FILES:
+            raise Refused(400, "The files must be a list.")
+        files = [self.uploads.find(str(each)) for each in ids]
         plan = self._plan(fields.get("plan"))
         if len(files) not in KINDS[kind].inputs:
             raise Refused(400, "That needs a file." if not files else "That takes one file at a time.")
@@ -197,12 +200,6 @@ async def _fields_of(request: Request) -> Any:
     if not isinstance(fields, dict):
         raise Refused(400, "The request is not a JSON object.")
     return fields
-
-
-def _list(value: Any) -> list[Any]:
-    if not isinstance(value, list) or len(value) > 500:
-        raise Refused(400, "The files must be a list.")
-    return value
 
 
 def _link(source: Path, target: Path) -> None:

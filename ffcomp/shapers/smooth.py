@@ -29,17 +29,13 @@ class Kernel:
 
     def shaper(self, name: str, frequency_hz: float) -> Shaper:
         """Return the kernel at a frequency, its mean delay taken off."""
+        if not frequency_hz > 0:
+            raise ValueError(f"A shaper's frequency must be above zero, not {frequency_hz} Hz.")
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
         amplitude = weights * np.polyval(np.array(self.coefficients), nodes / 2)
         amplitude /= amplitude.sum()
-        time = nodes / 2 * self.support_s(frequency_hz)
+        time = nodes / 2 * self.support_periods / frequency_hz
         return Shaper(name, amplitude, time - amplitude @ time)
-
-    def support_s(self, frequency_hz: float) -> float:
-        """Return the length of the kernel at a frequency, s."""
-        if not frequency_hz > 0:
-            raise ValueError(f"A shaper's frequency must be above zero, not {frequency_hz} Hz.")
-        return self.support_periods / frequency_hz
 
 
 KERNELS = {

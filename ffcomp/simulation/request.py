@@ -70,7 +70,7 @@ class SimulateRequest(Request):
     offset_mm: Annotated[Offset | None, OFFSET] = None
     flavor: Annotated[str, FLAVOR] = ""
     plate: Annotated[int | None, PLATE] = None
-    progress: Callable[[float], None] = silent
+    progress: Annotated[Callable[[float], None], "Called with the print seconds done so far."] = silent
 
     def check(self) -> None:
         """Check times, sensors, and that nothing is written over the command."""
