@@ -88,12 +88,9 @@ class Execution:
 
 def contour(executions: Sequence[Execution]) -> FloatArray:
     """Return the contour error of the counted samples, (m,) mm."""
-    return np.concatenate([_contour(each) for each in executions])
-
-
-def _contour(execution: Execution) -> FloatArray:
-    due = execution.motion.clock.plan_time(execution.t[execution.counted])
-    return contour_error(*execution.print_slice.corners, due, execution.nozzle[execution.counted])
+    dues = [each.motion.clock.plan_time(each.t[each.counted]) for each in executions]
+    pairs = zip(executions, dues, strict=True)
+    return np.concatenate([contour_error(*e.print_slice.corners, due, e.nozzle[e.counted]) for e, due in pairs])
 
 
 def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:

@@ -33,7 +33,6 @@ class Compensated:
 
     text: bytes
     planned: PlannedProgram  # the original
-    settings: Settings
     flavor: str
     statistics: Statistics
 
@@ -46,7 +45,7 @@ def compensated(
     outputs = list(compensated_sections(chunk, context, GcodeRenderer(chunk, context)))
     text = b"".join(piece for output in outputs for piece in output.text)
     statistics = sum((output.statistics for output in outputs), Statistics())
-    return Compensated(text, planned, model.settings, flavor, statistics)
+    return Compensated(text, planned, flavor, statistics)
 
 
 @dataclass(frozen=True, slots=True)

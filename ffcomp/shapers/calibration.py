@@ -16,7 +16,7 @@ mm, s, Hz.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +24,7 @@ import numpy as np
 from scipy.signal import welch
 
 from ffcomp.shapers import DAMPING_RATIO, SHAPERS, Shaper, residual_vibration
-from models.arrays import ComplexArray, FloatArray
+from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
@@ -84,8 +84,12 @@ class Calibration:
 def resonance_test_psd(
     machine: Machine, xy: FloatArray, axis: Axis, acceleration_per_hz: float = ACCELERATION_PER_HZ
 ) -> Spectrum:
-    """Return the spectrum that a firmware computes from the `resonance_test` of a machine at one position."""
-    return normalised(*_density(resonance_test(machine, xy, axis, acceleration_per_hz)))
+    """Return the spectrum that a firmware computes from a `resonance_test`; the axes' powers are added."""
+    felt = resonance_test(machine, xy, axis, acceleration_per_hz)
+    samples = 1 << int(np.ceil(np.log2(_WINDOW_S * RATE_HZ)))
+    frequency, psd = welch(felt, RATE_HZ, np.kaiser(samples, _KAISER_BETA), axis=0)  # as Klipper does
+    keep = frequency <= _HIGHEST_HZ
+    return normalised(frequency[keep], psd[keep].sum(axis=1))
 
 
 def resonance_test(
@@ -93,23 +97,11 @@ def resonance_test(
 ) -> FloatArray:
     """Return the nozzle's acceleration while a firmware's resonance test excites it along one axis, for small motion.
 
-    The test is made at one position (2,) mm; the acceleration is (n, 3) mm/s² at RATE_HZ.
-    """
-
-    def response(lines: FloatArray) -> ComplexArray:
-        return machine.vibration.frequency_response(xy, lines, "nozzle", "nozzle")[:, :, "xyz".index(axis)]
-
-    return _answer(response, acceleration_per_hz)
-
-
-def _answer(response: Callable[[FloatArray], ComplexArray], acceleration_per_hz: float) -> FloatArray:
-    """Return the nozzle's acceleration (n, 3) mm/s² at RATE_HZ under the test's pulses.
-
     The command's pulses, ±acceleration_per_hz · f for a quarter period each, pass the nozzle's frequency response,
     which is the same for accelerations as for positions. The slow sweep that newer firmware adds is left out: it keeps
     friction from sticking, and a linear machine has none.
 
-    response : (k,) Hz → (k, 3), of X Y Z to the excitation, acceleration per acceleration.
+    The test is made at one position (2,) mm; the acceleration is (n, 3) mm/s² at RATE_HZ.
     """
     time, velocity = pulse_train(acceleration_per_hz)
     grid = np.arange(int(np.ceil(time[-1] + _SETTLE_S)) * _FINE_RATE_HZ + 1) / _FINE_RATE_HZ  # whole seconds
@@ -117,7 +109,8 @@ def _answer(response: Callable[[FloatArray], ComplexArray], acceleration_per_hz:
     ratio = _FINE_RATE_HZ // RATE_HZ
     kept = len(command) // (2 * ratio) + 1  # lines up to half the slow rate
     lines = np.linspace(0.0, RATE_HZ / 2, kept)
-    answered = response(lines) * np.fft.rfft(command)[:kept, None] / ratio
+    response = machine.vibration.frequency_response(xy, lines, "nozzle", "nozzle")[:, :, "xyz".index(axis)]
+    answered = response * np.fft.rfft(command)[:kept, None] / ratio
     return np.fft.irfft(answered, len(command) // ratio, axis=0)
 
 
@@ -134,15 +127,6 @@ def pulse_train(acceleration_per_hz: float) -> tuple[FloatArray, FloatArray]:
     time = np.concatenate([[0.0], np.cumsum(0.25 / frequency)])
     velocity = np.resize([0.0, 1.0, 0.0, -1.0], len(time)) * acceleration_per_hz / 4
     return time, velocity
-
-
-def _density(acceleration: FloatArray) -> Spectrum:
-    """Return the density of (n, 3) mm/s² at RATE_HZ by Welch's method as Klipper does; the axes' powers are added."""
-    samples = 1 << int(np.ceil(np.log2(_WINDOW_S * RATE_HZ)))
-    window = np.kaiser(samples, _KAISER_BETA)
-    frequency, psd = welch(acceleration, RATE_HZ, window, axis=0)
-    keep = frequency <= _HIGHEST_HZ
-    return frequency[keep], psd[keep].sum(axis=1)
 
 
 def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
