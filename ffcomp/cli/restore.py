@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 from ffcomp.cli.command import verb
 from ffcomp.numerics.serialise import keys
 from ffcomp.request import OUTPUT, Argument, Option, Request
 from ffcomp.result import Result
-
-if TYPE_CHECKING:
-    from gcode.container import Container
 
 
 @dataclass(frozen=True)
@@ -30,13 +26,20 @@ def restore(request: RestoreRequest) -> Result:
 
     Example: ffcomp restore out.gcode -o original.gcode
     """
+    from ffcomp.errors import NothingToDo
     from gcode.atomic_write import replacing, unchanged
-    from gcode.container import opened
+    from gcode.container import blocks_of, ends_of, opened
+    from gcode.embedded import find_stamp, original_blocks
 
     file, output = request.file, request.output or request.file
     still_the_same = unchanged(file)
     with opened(file) as container:
-        texts = _originals(container, file)
+        prints = container.prints.values()
+        stamped = [find_stamp(*ends_of(text)[:2]) is not None for text in prints]
+        if not any(stamped):
+            raise NothingToDo(f"{file}: not compensated by ffcomp; nothing to restore.")
+        blocks = zip(map(blocks_of, prints), stamped, strict=True)
+        texts = [original_blocks(text) if ours else text for text, ours in blocks]
         with replacing(output) as target:
             container.write(target, texts)
             still_the_same()
@@ -57,18 +60,3 @@ class Restored(Result):
     def headline(self) -> str:
         """Where it is."""
         return f"The original is in {self.output}."
-
-
-def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
-    from ffcomp.errors import NothingToDo
-    from gcode.container import blocks_of, ends_of
-    from gcode.embedded import find_stamp, original_blocks
-
-    prints = container.prints.values()
-    stamped = [find_stamp(*ends_of(text)[:2]) is not None for text in prints]
-    if not any(stamped):
-        raise NothingToDo(f"{file}: not compensated by ffcomp; nothing to restore.")
-    return [
-        original_blocks(blocks_of(text)) if ours else blocks_of(text)
-        for text, ours in zip(prints, stamped, strict=True)
-    ]

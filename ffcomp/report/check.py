@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
-import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp.check.compare import CHANGED, SAME, SENSOR, UNKNOWN, CheckResult
 from ffcomp.check.history import Check
-from ffcomp.report.drawing import BAND, RC, SOFT, grid
-from ffcomp.version import __version__
+from ffcomp.report.drawing import SOFT, grid, one_panel
 
 SHOWN = 30  # checks, the last ones
 GAP, CHANGE = "#0072b2", "#d55e00"  # distinct for colour-blind readers
@@ -22,14 +21,8 @@ WORDS = {SAME: "as last time", **MARKED}
 def checks_figure(result: CheckResult) -> Figure:
     """Draw the last checks in one panel, the last finding above it."""
     shown, name = list(result.checks)[-SHOWN:], f"{result.machine} · checks: {len(result.checks)}"
-    with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(8.4, 4.2), dpi=130, layout="constrained")
-        title = f"Last check: {WORDS.get(shown[-1].finding, shown[-1].finding.replace('_', ' '))}"
-        figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
-        axes = figure.add_subplot()
-        _panel(axes, shown)
-        axes.set_title(f"{name} · ffcomp {__version__}", fontsize=8, color=SOFT)
-    return figure
+    title = f"Last check: {WORDS.get(shown[-1].finding, shown[-1].finding.replace('_', ' '))}"
+    return one_panel(title, name, (8.4, 4.2), partial(_panel, shown=shown))
 
 
 def _panel(axes: Axes, shown: Sequence[Check]) -> None:

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from models.arrays import BoolArray, FloatArray
 
@@ -164,6 +165,17 @@ def figure_of(drawing: Drawing) -> Figure:
         drawing.draw(figure)
         said = textwrap.fill(drawing.finding, int(16 * drawing.width))
         figure.suptitle(f"{drawing.title}\n{said}", x=0.01, ha="left", fontsize=9, parse_math=False)
+        return figure
+
+
+def one_panel(title: str, about: str, size: tuple[float, float], draw: Callable[[Axes], None]) -> Figure:
+    """Draw a figure of one panel, with the finding above it; size : inches."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=size, dpi=130, layout="constrained")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
+        axes = figure.add_subplot()
+        draw(axes)
+        axes.set_title(f"{about} · ffcomp {__version__}", fontsize=8, color=SOFT)
         return figure
 
 

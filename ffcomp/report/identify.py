@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from textwrap import fill
 from typing import Any
 
@@ -21,7 +22,7 @@ from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
 from ffcomp.identification.output_error import Fitted
 from ffcomp.identification.page.scan import ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, plain_decades
+from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, one_panel, plain_decades
 from ffcomp.report.page import Page, Section, plain
 from ffcomp.responses.modes import modes_at
 from ffcomp.shapers.calibration import klipper_block
@@ -204,14 +205,8 @@ def _title(response: FrequencyResponse) -> str:
 
 def belts_figure(belts: BeltComparison, name: str) -> Figure:
     """Draw all tests in one panel, its finding above it."""
-    with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(8.4, 4.7), dpi=130, layout="constrained")
-        finding = belts.sentence.partition(". ")[0]
-        figure.suptitle(finding, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
-        axes = figure.add_subplot()
-        belts_panel(axes, belts)
-        axes.set_title(f"{name} · tests along each {belts.kind} · ffcomp {__version__}", fontsize=8, color=SOFT)
-    return figure
+    finding, about = belts.sentence.partition(". ")[0], f"{name} · tests along each {belts.kind}"
+    return one_panel(finding, about, (8.4, 4.7), partial(belts_panel, belts=belts))
 
 
 def belts_panel(axes: Axes, belts: BeltComparison) -> None:

@@ -121,13 +121,14 @@ class Kind:
     @property
     def form(self) -> dict[str, Declared]:
         """The options that the page offers, by name."""
-        return {each.field: each for make in self.requests for each in offered(make) if each.field not in self.without}
+        every = [each for make in self.requests for each in options_of(make) if each.option.label]
+        return {each.field: each for each in every if each.field not in self.without}
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Raise RequestError where values are out of range, or do not go together."""
         for make in self.requests:  # the server chooses the files when the job runs
             files = {each.field: "file" for each in options_of(make) if each.required}
-            made = {each.field: values[each.field] for each in offered(make) if each.field in values}
+            made = {each.field: values[each.field] for each in options_of(make) if each.field in values}
             make(**files | made)
 
 
@@ -149,11 +150,6 @@ def steps(kind: str, task: Task) -> list[Step]:
     target, report = str(task.out / task.inputs[0].name), str(task.out / REPORT)
     show = ("show", target, "-o", str(task.out / PICTURE), "--json", "--report", report)
     return [first, Step(show, "drawing", needed=False)]
-
-
-def offered(make: Callable[..., Request]) -> list[Declared]:
-    """Return the options of a request that have a label."""
-    return [each for each in options_of(make) if each.option.label]
 
 
 def options_of(make: Callable[..., Request]) -> tuple[Declared, ...]:
