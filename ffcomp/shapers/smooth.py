@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, ei, mzv, three_hump_ei, two_hump_ei, zv, zvd, zvdd, zvddd
+from models.arrays import FloatArray
 
 NODES = 24  # of the sum: the position along a 30 ms kernel is then exact to 0.1 µm at an acceleration's step of 10 m/s²
 
@@ -25,14 +26,24 @@ class Kernel:
     """A polynomial over a support of one: its length in periods, and coefficients from the highest power down."""
 
     support_periods: float
-    coefficients: tuple[float, ...]
+    lowest_hz: float  # that a calibration tries
+    even: tuple[float, ...]  # of even powers
+    odd: tuple[float, ...]  # of odd powers
 
-    def shaper(self, name: str, frequency_hz: float) -> Shaper:
-        """Return the kernel at a frequency, its mean delay taken off."""
+    @property
+    def coefficients(self) -> FloatArray:
+        """Return those of all powers, from the highest down."""
+        every = np.empty(len(self.even) + len(self.odd))
+        every[::2], every[1::2] = self.even, self.odd
+        return every
+
+    def shaper(self, name: str, frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+        """Return the kernel at a frequency, its mean delay taken off; it is for a damping ratio of 0.1."""
+        del damping_ratio
         if not frequency_hz > 0:
             raise ValueError(f"A shaper's frequency must be above zero, not {frequency_hz} Hz.")
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
-        amplitude = weights * np.polyval(np.array(self.coefficients), nodes / 2)
+        amplitude = weights * np.polyval(self.coefficients, nodes / 2)
         amplitude /= amplitude.sum()
         time = nodes / 2 * self.support_periods / frequency_hz
         return Shaper(name, amplitude, time - amplitude @ time)
@@ -40,81 +51,42 @@ class Kernel:
 
 KERNELS = {
     "smooth_zv": Kernel(
-        0.8025, (-118.4265334338076, 5.861885495127615, 29.52796003014231, -1.465471373781904, 0.01966833207740377)
+        0.8025,
+        18.0,
+        even=(-118.4265334338076, 29.52796003014231, 0.01966833207740377),
+        odd=(5.861885495127615, -1.465471373781904),
     ),
     "smooth_mzv": Kernel(
         0.95625,
-        (
-            -1906.717580206364,
-            125.8892756660212,
-            698.0200035767849,
-            -37.75923018121473,
-            -62.18762409216703,
-            1.57172781617736,
-            1.713117990217123,
-        ),
+        20.0,
+        even=(-1906.717580206364, 698.0200035767849, -62.18762409216703, 1.713117990217123),
+        odd=(125.8892756660212, -37.75923018121473, 1.57172781617736),
     ),
     "smooth_ei": Kernel(
         1.06625,
-        (
-            -1797.048868963208,
-            120.5310596109878,
-            669.6653197989012,
-            -35.71975707450795,
-            -62.49388325512682,
-            1.396748042940248,
-            1.848276903900512,
-        ),
+        21.0,
+        even=(-1797.048868963208, 669.6653197989012, -62.49388325512682, 1.848276903900512),
+        odd=(120.5310596109878, -35.71975707450795, 1.396748042940248),
     ),
     "smooth_2hump_ei": Kernel(
         1.14875,
-        (
-            -22525.88434486782,
-            2524.826047114184,
-            10554.22832043971,
-            -1051.778387878068,
-            -1475.914693073253,
-            121.2177946817349,
-            57.95603221424528,
-            -4.018706414213658,
-            0.8375784787864095,
-        ),
+        21.5,
+        even=(-22525.88434486782, 10554.22832043971, -1475.914693073253, 57.95603221424528, 0.8375784787864095),
+        odd=(2524.826047114184, -1051.778387878068, 121.2177946817349, -4.018706414213658),
     ),
     "smooth_zvd_ei": Kernel(
         1.475,
-        (
-            -18835.07746719777,
-            1914.349309746547,
-            8786.608981369287,
-            -807.3061869131075,
-            -1209.429748155012,
-            96.48879052981883,
-            43.1595785340444,
-            -3.577268915175282,
-            1.083220648523371,
-        ),
+        26.0,
+        even=(-18835.07746719777, 8786.608981369287, -1209.429748155012, 43.1595785340444, 1.083220648523371),
+        odd=(1914.349309746547, -807.3061869131075, 96.48879052981883, -3.577268915175282),
     ),
     "smooth_si": Kernel(
         1.245,
-        (
-            -6186.76006449789,
-            1206.747198930197,
-            2579.985143622855,
-            -476.8554763069169,
-            -295.546608490564,
-            52.69679971161049,
-            4.234582468800491,
-            -2.226157642004671,
-            1.267781046297883,
-        ),
+        21.5,
+        even=(-6186.76006449789, 2579.985143622855, -295.546608490564, 4.234582468800491, 1.267781046297883),
+        odd=(1206.747198930197, -476.8554763069169, 52.69679971161049, -2.226157642004671),
     ),
 }
-
-
-def smooth(name: str, frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
-    """Return a smooth shaper; the published kernels are for one damping ratio, whatever the mode's is."""
-    del damping_ratio
-    return KERNELS[name].shaper(name, frequency_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +103,6 @@ class ShaperKind:
         return self.make(frequency_hz, damping_ratio)
 
 
-_SMOOTH_LOWEST_HZ = {"smooth_mzv": 20.0, "smooth_ei": 21.0, "smooth_2hump_ei": 21.5, "smooth_zvd_ei": 26.0}
-_SMOOTH_LOWEST_HZ |= {"smooth_zv": 18.0, "smooth_si": 21.5}
 SHAPERS: dict[str, ShaperKind] = {
     "zv": ShaperKind(zv, 21.0, usual=True, recommended=True),
     "mzv": ShaperKind(mzv, 23.0, usual=True, recommended=True),
@@ -142,7 +112,7 @@ SHAPERS: dict[str, ShaperKind] = {
     "ei": ShaperKind(ei, 29.0, usual=True, recommended=True),
     "2hump_ei": ShaperKind(two_hump_ei, 39.0, usual=True, recommended=True),
     "3hump_ei": ShaperKind(three_hump_ei, 48.0, usual=True, recommended=True),
-    **{name: ShaperKind(partial(smooth, name), _SMOOTH_LOWEST_HZ[name]) for name in KERNELS},
+    **{name: ShaperKind(partial(kernel.shaper, name), kernel.lowest_hz) for name, kernel in KERNELS.items()},
 }
 
 USUAL = tuple(name for name, kind in SHAPERS.items() if kind.usual)
