@@ -220,15 +220,6 @@ def seconds(row: FloatArray) -> float:
 
 
 @dataclass(slots=True)
-class _Marks:
-    """Lines of a slice whose comments begin layers and features: indices into the program's lines."""
-
-    layers: list[int] = field(default_factory=list)
-    features: list[int] = field(default_factory=list)
-    names: list[str] = field(default_factory=list)  # of the features; the first is the one before them all
-
-
-@dataclass(slots=True)
 class Statistics:
     """Time and filament that have been counted so far."""
 
@@ -294,85 +285,73 @@ class Statistics:
         ----------
         raw_s : mapping, durations of moves from an unknown position, s, by their line's index
         """
-        marks = self._read(part, raw_s)
-        if part.plan is not None and part.last > part.first:
-            self._add_moves(part, part.plan.duration[part.first : part.last], marks)
-        self._layer += len(marks.layers)
-        self._feature = marks.names[-1]
+        layers, features, waits = self._read(part, raw_s)
+        moves, counted = part.program.moves, slice(part.first, part.last)
+        fed = moves.end[counted, 3] - moves.start[counted, 3]
+        waiting = np.array(waits).reshape(-1, 3)
+        line = np.concatenate([moves.line[counted], waiting[:, 0].astype(np.int64)])
+        kind = np.concatenate([_kinds(lines_of(moves).travels[counted], fed), waiting[:, 1].astype(np.int64)])
+        rows, tops, count = np.zeros((len(line), COLUMNS)), np.full(len(line), -np.inf), len(fed)
+        rows[np.arange(len(line)), kind] = np.append(
+            [] if part.plan is None else part.plan.duration[counted], waiting[:, 2]
+        )
+        rows[:count, FILAMENT] = fed
+        tops[:count] = np.where(kind[:count] == EXTRUDING, moves.end[counted, 2], -np.inf)
+        self._feed(fed)
+        self.moves += len(np.unique(moves.line[counted]))
+        order = np.argsort(line, kind="stable")
+        line, rows, tops = line[order], rows[order], tops[order]
+        names = [self._feature, *(name for _, name in features)]
+        for k, row, _ in summed(np.searchsorted([at for at, _ in features], line, side="right"), rows):
+            self.features[names[k]] = self.features.get(names[k], 0.0) + row
+        number = self._layer + np.searchsorted(layers, line, side="right")
+        key = np.where(number == BEFORE, self._heights(tops), number)
+        for k, row, first in summed(key, rows):
+            layer = Layer(row, part.program.first_line + 1 + int(line[first]), float(tops[key == k].max()))
+            self.layers[k] = self.layers[k].with_more(layer) if k in self.layers else layer
+        self._layer += len(layers)
+        self._feature = names[-1]
         self.warnings += part.program.warnings
 
-    def _read(self, part: PlannedSlice, raw_s: Mapping[int, float]) -> _Marks:
-        """Read its lines."""
-        marks = _Marks(names=[self._feature])
-        number = part.program.first_line + 1  # in the file, of the program's first line
+    def _read(
+        self, part: PlannedSlice, raw_s: Mapping[int, float]
+    ) -> tuple[list[int], list[tuple[int, str]], list[tuple[int, int, float]]]:
+        """Read its lines; return those that begin layers, and features with their names, and waits: line, kind, s."""
+        layers, features, waits = list[int](), list[tuple[int, str]](), list[tuple[int, int, float]]()
         for event in part.events:
             line = part.program.lines[event.line]
             if line.startswith(TIME_WAS):
                 self._time_was = line[len(TIME_WAS) :].rstrip()
                 continue
-            if line.startswith(b";"):
-                self._comment(line, event, marks)
+            if begins_layer(line):
+                layers.append(event.line)
+            elif name := begins_feature(line):
+                features.append((event.line, name))
+            elif line.startswith(b";"):
+                if self.slicer_s is None and not line.startswith(WAS):
+                    self.slicer_s = slicer_time_s([line if self._time_was is None else with_time(line, self._time_was)])
             elif event.dwell_s:
-                self._wait(event, event.dwell_s, WAITING, number, marks)
+                waits.append((event.line, WAITING, event.dwell_s))
             elif event.raw is not None and raw_s.get(event.line):
                 kind = EXTRUDING if event.raw.filament_mm > STILL_MM else TRAVELLING
-                self._wait(event, raw_s[event.line], kind, number, marks)
+                waits.append((event.line, kind, raw_s[event.line]))
             elif command := unknown_in(part.program, event):
-                self.unknown.setdefault(command, Unknown(*command)).add(number + event.line)
+                self.unknown.setdefault(command, Unknown(*command)).add(part.program.first_line + 1 + event.line)
             self._time_was = None
-        return marks
-
-    def _comment(self, line: bytes, event: Event, marks: _Marks) -> None:
-        if line.startswith(WAS):
-            return
-        if begins_layer(line):
-            marks.layers.append(event.line)
-        elif name := begins_feature(line):
-            marks.features.append(event.line)
-            marks.names.append(name)
-        elif self.slicer_s is None:
-            self.slicer_s = slicer_time_s([line if self._time_was is None else with_time(line, self._time_was)])
-
-    def _wait(self, event: Event, seconds: float, kind: int, number: int, marks: _Marks) -> None:
-        row = np.zeros(COLUMNS)
-        row[kind] = seconds
-        _add_row(self.features, marks.names[-1], row)
-        layer = self._layer + len(marks.layers)
-        self._add_layer(self._height if layer == BEFORE else layer, Layer(row, number + event.line))
-
-    def _add_moves(self, part: PlannedSlice, seconds: FloatArray, marks: _Marks) -> None:
-        moves, counted = part.program.moves, slice(part.first, part.last)
-        fed = moves.end[counted, 3] - moves.start[counted, 3]
-        kind = _kinds(lines_of(moves).travels[counted], fed)
-        rows = np.zeros((len(seconds), COLUMNS))
-        rows[np.arange(len(seconds)), kind] = seconds
-        rows[:, FILAMENT] = fed
-        self._feed(fed)
-        line = moves.line[counted]
-        self.moves += len(np.unique(line))
-        for k, row, _ in summed(np.searchsorted(marks.features, line, side="right"), rows):
-            _add_row(self.features, marks.names[k], row)
-        number = self._layer + np.searchsorted(marks.layers, line, side="right")
-        tops = np.where(kind == EXTRUDING, moves.end[counted, 2], -np.inf)
-        keys_of_moves = np.where(number == BEFORE, self._heights(tops), number)
-        for k, row, first in summed(keys_of_moves, rows):
-            top = float(tops[keys_of_moves == k].max())
-            self._add_layer(k, Layer(row, part.program.first_line + 1 + int(line[first]), top))
+        return layers, features, waits
 
     def _heights(self, tops: FloatArray) -> IntArray:
         """Return the key of each move's height, that of the last extruding move; tops : (n,) mm, or -inf."""
         last = np.maximum.accumulate(np.where(np.isfinite(tops), np.arange(len(tops)), -1))
         height = 1 + np.floor(np.maximum(tops[np.maximum(last, 0)], 0.0) / BAND_MM + 0.5).astype(np.int64)
         heights = np.where(last >= 0, _HEIGHT_0 + height, self._height)
-        self._height = int(heights[-1])
+        self._height = int(heights[-1]) if len(heights) else self._height
         return heights
-
-    def _add_layer(self, key: int, layer: Layer) -> None:
-        known = self.layers.get(key)
-        self.layers[key] = layer if known is None else known.with_more(layer)
 
     def _feed(self, fed: FloatArray) -> None:
         """Count retractions, and new filament: retracted filament that is fed again does not count."""
+        if not len(fed):
+            return
         steps = np.append(self._pulled_mm, fed)
         steps = steps[np.abs(steps) > STILL_MM]
         turns = np.flatnonzero(np.diff(np.sign(steps), prepend=0.0))
@@ -388,7 +367,3 @@ def _kinds(travels: NDArray[np.bool_], fed: FloatArray) -> IntArray:
     """Return the kind of each move, (n,); fed : (n,) mm."""
     moving = np.where(fed > STILL_MM, EXTRUDING, TRAVELLING)
     return np.where(travels, moving, np.where(fed < 0.0, RETRACTING, PRIMING))
-
-
-def _add_row(rows: dict[str, FloatArray], key: str, row: FloatArray) -> None:
-    rows[key] = rows[key] + row if key in rows else row
