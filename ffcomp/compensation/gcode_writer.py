@@ -71,7 +71,7 @@ class GcodeRenderer:
         self.now_s = 0.0  # since the program's beginning
         # the section's tiles, as their lines state them; s since its first knot
         self.written: Sequence[TimedSegments] = []
-        self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
+        self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not, s
         self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         stops, waits = stops_and_waits(program)
@@ -328,9 +328,9 @@ class GcodeRenderer:
         each = (segments.points, segments.e, segments.speeds, segments.lasting, segments.slack)
         block, ends = self.moves.block(*each, stated)
         starts, done = [0, *ends.tolist()], 0
-        rests = self._rests(ends, segments.lasting)
+        begun = self._begun(ends, segments.lasting)
         lines = lines[before:]
-        for k, line in sorted([*lines, *rests], key=itemgetter(0)) if rests else lines:
+        for k, line in sorted([*lines, *begun], key=itemgetter(0)) if begun else lines:
             if starts[k] > done:
                 text.append(self._finish(block[done : starts[k]]))
                 done = starts[k]
@@ -340,23 +340,21 @@ class GcodeRenderer:
         self.now_s = passed[-1]
         return text
 
-    def _rests(self, ends: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
-        """Say when the section's first segment begins, and wait for segments without a line before the next with one.
+    def _begun(self, ends: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
+        """State before the section's first segment with a line when it begins; the nozzle has not moved before.
 
         ends : (n,) where each segment's line ends;  lasting : (n,) s
         """
-        since_s = self.rest
-        before, rests, written, self.rest = _unwritten(ends, lasting, self.begun, since_s)
-        added = [
-            (k, b"G4 P%.6g" % (1e3 * rest) + OURS) for k, rest in zip(before.tolist(), rests.tolist(), strict=True)
-        ]
-        if written and not self.begun:
-            self.begun, first = True, int((ends > 0).argmax())
-            line, lead_s = self.section_begin
-            begun_s = since_s + float(lasting[:first].sum())
-            added.insert(0, (first, section_time_line(line, begun_s - lead_s)))
-        self.segments += written
-        return [(k, text + self.ending) for k, text in added]
+        written = np.diff(ends, prepend=0) > 0
+        self.segments += int(np.count_nonzero(written))
+        if self.begun:
+            return []
+        first = int(written.argmax()) if written.any() else len(written)
+        self.rest += float(lasting[:first].sum())
+        if first == len(written):
+            return []
+        self.begun, (line, lead_s) = True, self.section_begin
+        return [(first, section_time_line(line, self.rest - lead_s) + self.ending)]
 
     def _line(self, line: _Line) -> Iterable[bytes]:
         if isinstance(line, int):
@@ -459,36 +457,6 @@ class _Segments:
             (k, timeline.events[n] if n >= 0 else line)
             for k, line, n in zip(*(c.tolist() for c in columns), strict=True)
         ]
-
-
-@kernel
-def _unwritten(
-    ends: IntArray, lasting: FloatArray, begun: bool, rest: float
-) -> tuple[IntArray, FloatArray, int, float]:
-    """How long segments without a line last that stand before one with a line.
-
-    Parameters
-    ----------
-    ends : (n,) where each segment's line ends;  lasting : (n,) s
-    begun : whether there was a line before them;  rest : s that have gone by since then
-
-    Returns
-    -------
-    the segments (k,) before which there is something to wait for, how long (k,) s, how many have a line, and what has
-    gone by since the last of them, s
-    """
-    before, rests = np.empty(len(ends), dtype=np.int64), np.empty(len(ends))
-    waits, written, end = 0, 0, 0
-    for k in range(len(ends)):
-        if ends[k] > end:
-            if rest > 0.0 and begun:
-                before[waits], rests[waits] = k, rest
-                waits += 1
-            begun, rest, end = True, 0.0, ends[k]
-            written += 1
-        else:
-            rest += lasting[k]
-    return before[:waits], rests[:waits], written, rest
 
 
 @kernel
