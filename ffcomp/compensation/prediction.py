@@ -18,7 +18,7 @@ from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.metrics import build_track, contour_error, peaks, tracking
+from ffcomp.metrics import build_track, contour_error, end_to_end, peaks, tracking
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
 from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.simulation.expectation import EXCERPT_S, Piece, expectation, pieces_of_segments
@@ -33,15 +33,12 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples fall evenly between whole numbe
 
 
 class SampledSection(NamedTuple):
-    """A section that was simulated."""
+    """A section that was simulated, without compensation and with it: one of WAYS each."""
 
     lasts_s: float
-    begin: FloatArray  # (3,) mm, the reference at its first knot
     reference: FloatArray  # (m, 3) mm
-    before: FloatArray  # (m, 3) mm, the nozzle without compensation
-    after: FloatArray  # (m, 3) mm
-    path_t: FloatArray  # (k,) s since its first knot
-    path: FloatArray  # (k, 3) mm
+    nozzles: tuple[FloatArray, ...]  # (m, 3) mm each
+    contours: tuple[FloatArray, ...]  # (m,) mm each
 
 
 @dataclass
@@ -63,28 +60,13 @@ class Samples:
         """Evaluate the sampled sections of a print for a machine and a firmware."""
         if self.failed or not self.sections:
             return Forecast(failed=self.failed)
-        # one after the other in space too: only differences count, and a jump between runs would look like an error
-        place, covered_s, shifts, begins = np.zeros(3), 0.0, list[FloatArray](), list[float]()
-        for each in self.sections:
-            shifts.append(place - each.begin)
-            begins.append(covered_s)
-            place, covered_s = each.reference[-1] + shifts[-1], covered_s + each.lasts_s
-        pairs = list(zip(self.sections, shifts, strict=True))
-        reference = np.concatenate([each.reference + shift for each, shift in pairs])
-        before = np.concatenate([each.before + shift for each, shift in pairs])
-        after = np.concatenate([each.after + shift for each, shift in pairs])
-        path = np.concatenate([each.path + shift for each, shift in pairs])
-        path_t = np.concatenate([each.path_t + begin for each, begin in zip(self.sections, begins, strict=True)])
-        t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
-        tracks = {
-            name: build_track(
-                tracking(reference, actual, self.sample_s),
-                contour_error(path_t, path, t, actual),
-                float(path_t[-1] - path_t[0]),
-                peak,
-            )
-            for name, actual, peak in zip(WAYS, (before, after), self.peaks, strict=True)
-        }
+        covered_s = sum(each.lasts_s for each in self.sections)
+        references = [each.reference for each in self.sections]
+        tracks = {}
+        for way, (name, peak) in enumerate(zip(WAYS, self.peaks, strict=True)):
+            motions = end_to_end(references, [each.nozzles[way] for each in self.sections])
+            contour = np.concatenate([each.contours[way] for each in self.sections])
+            tracks[name] = build_track(tracking(*motions, self.sample_s), contour, covered_s, peak)
         return Forecast(tracks, covered_s, expected=expectation(machine, self.pieces, flavor))
 
 
@@ -101,48 +83,44 @@ class Prediction:
         self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
         self.samples = Samples(self.every * s.segment_s / s.substeps)
         self.seen_s = self.covered_s = 0.0
-        self.ringing: FloatArray | None = None  # the plant without compensation, as the last section has ended
-
-    def wants(self, reference: Reference) -> bool:
-        """Return whether to sample this section; to be called once for each."""
-        length = reference.knots * self.model.settings.segment_s
-        due = self.covered_s <= self.share * self.seen_s
-        self.seen_s += length
-        return due and not self.samples.failed
+        self.ringing: list[FloatArray] = []  # both plants as the last section has ended, without compensation and with
 
     def add(self, solved: SolvedSection, written: Sequence[TimedSegments] = ()) -> None:
-        """Take the next section in if it is sampled; `written`: its segments, where others than the solved ones."""
+        """Sample the next section, if its turn has come; `written`: its segments, where others than the solved ones."""
+        length = solved.reference.knots * self.model.settings.segment_s
+        due = self.covered_s <= self.share * self.seen_s and not self.samples.failed
+        self.seen_s += length
         try:
-            self.ringing = self._add(solved, written) if solved.sampled else None
+            self.ringing = self._add(solved, written, length) if due else []
         except Exception as error:
             self.samples.failed = failure(error)
 
-    def _add(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> FloatArray:
+    def _add(self, solved: SolvedSection, written: Sequence[TimedSegments], length: float) -> list[FloatArray]:
         model, s, samples, every = self.model, self.model.settings, self.samples, self.every
-        reference, result = solved.reference, solved.solution
-        length = reference.knots * s.segment_s
+        reference = solved.reference
         self.covered_s += length
         nozzle, velocity = reference.substeps(0, reference.knots)
-        if self.ringing is None or solved.rest_s is None:
-            state = model.machine.equilibrium(nozzle[0])
+        if not self.ringing or solved.rest_s is None:
+            states = [model.machine.equilibrium(nozzle[0])] * 2
         else:
-            state = model.state_after_rest(self.ringing, nozzle[0], solved.rest_s)
+            states = [model.state_after_rest(each, nozzle[0], solved.rest_s) for each in self.ringing]
         sliced = self._sliced(reference) if written else reference.nozzle
         t = reference.t0 + self._step_s * np.arange(len(nozzle), dtype=np.float64)
         by_slicer = sliced(t)
-        plain, ringing = model.plant.respond(by_slicer, velocity, state, s.substeps)
-        solved_for, executed = self._commands(solved, written)
-        response = result.response + self._joining(solved, nozzle, solved_for, executed)
+        plain, states[0] = model.plant.respond(by_slicer, velocity, states[0], s.substeps)
+        executed = self._executed(solved, written)
+        response, states[1] = self._response(solved, executed, states[1])
         due, corners = reference.path()
         # by rounding a path may end after its last knot, where the next run begins
         path_t = np.clip(due - reference.t0, 0.0, length)
-        at = slice(every - 1, None, every)
-        sampled = SampledSection(length, nozzle[0], nozzle[every::every], plain[at], response[at], path_t, corners)
-        samples.sections.append(sampled)
+        nozzles = tuple(each[every - 1 :: every] for each in (plain, response))
+        sampled_t = (t - reference.t0)[every::every]
+        contours = tuple(contour_error(path_t, corners, sampled_t, each) for each in nozzles)
+        samples.sections.append(SampledSection(length, nozzle[every::every], nozzles, contours))
         speeds_up = [peaks(model.kinematics.inverse(each), self._step_s)[1] for each in (by_slicer, executed)]
         samples.peaks = max(samples.peaks[0], speeds_up[0]), max(samples.peaks[1], speeds_up[1])
         samples.pieces += self._pieces(solved, sliced, executed)
-        return ringing
+        return states
 
     def _sliced(self, reference: Reference) -> Position:
         """Return the nozzle by the sliced lines, whose ends the firmware rounds."""
@@ -163,27 +141,31 @@ class Prediction:
     def _step_s(self) -> float:
         return self.model.settings.segment_s / self.model.settings.substeps
 
-    def _commands(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> tuple[FloatArray, FloatArray]:
-        """Return the solved command, and that of the written segments: (n, 3) mm each."""
-        s = self.model.settings
-        filament = np.diff(solved.reference.extrusion())
-        command = sample_even_segments(solved.solution.vertices, filament, s.segment_s, s.output, s.substeps)
-        executed = command.copy()
+    def _solved_for(self, solved: SolvedSection) -> FloatArray:
+        """Return the solved command as one segment a knot, (n, 3) mm."""
+        s, filament = self.model.settings, np.diff(solved.reference.extrusion())
+        return sample_even_segments(solved.solution.vertices, filament, s.segment_s, s.output, s.substeps)
+
+    def _executed(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> FloatArray:
+        """Return the command by the written segments, (n, 3) mm."""
+        command = self._solved_for(solved)
         times = np.arange(len(command), dtype=np.float64) * self._step_s
         for piece in written:
             rows = slice(*times.searchsorted([piece.due[0], piece.due[-1]]).tolist())
-            executed[rows] = piece.positions(times[rows])
-        return command, executed
+            command[rows] = piece.positions(times[rows])
+        return command
 
-    def _joining(
-        self, solved: SolvedSection, nozzle: FloatArray, command: FloatArray, executed: FloatArray
-    ) -> FloatArray:
-        """Return the change of the response by the written segments, (n, 3) mm: the model is linear in the command."""
-        model, s = self.model, self.model.settings
-        kinematics, still = model.kinematics, np.zeros_like(command)
-        added = kinematics.inverse(executed) - kinematics.inverse(command)
-        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2][: len(command) // s.substeps])
-        at_rest = np.zeros_like(model.machine.equilibrium(nozzle[0]))
-        q, _ = model.plant.play(place, still, added, at_rest, s.substeps)
-        response = solved.solution.response
-        return kinematics.forward(kinematics.inverse(response) + q) - response
+    def _response(self, solved: SolvedSection, command: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nozzle (n, 3) mm after every substep of a command (n + 1, 3) mm, and the plant's state at its end.
+
+        state : (18,) at its beginning
+        """
+        model, known = self.model, solved.solution.response
+        if not len(known):
+            return model.respond(solved.reference, command, state)
+        # of a nonlinear printer, whose change by the written segments is taken as linear
+        kinematics, substeps = model.kinematics, model.settings.substeps
+        added = kinematics.inverse(command) - kinematics.inverse(self._solved_for(solved))
+        place = model.places(solved.reference.substeps(0, solved.reference.knots)[0])
+        q, _ = model.plant.play(place, np.zeros_like(added), added, np.zeros_like(state), substeps)
+        return kinematics.forward(kinematics.inverse(known) + q), state

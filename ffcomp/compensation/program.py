@@ -52,7 +52,6 @@ def compensated_sections(
         planned,
         model,
         chunk.before,
-        wants=None if prediction is None else prediction.wants,
         layers_before=chunk.chunk.layers,
         extent=extent,
     ):

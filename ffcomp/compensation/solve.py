@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, section_planner
 from ffcomp.inverse.feasible import SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WHOLE, Extent, Reference
+from ffcomp.inverse.reference import WHOLE, Extent
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
@@ -55,7 +55,6 @@ def solutions(
     model: InverseModel,
     before: Resting | None = None,
     *,
-    wants: Callable[[Reference], bool] | None = None,
     layers_before: int = 0,
     extent: Extent = WHOLE,
 ) -> Iterator[tuple[Section, SolvedSection | None]]:
@@ -68,7 +67,6 @@ def solutions(
     planned : a chunk's program
     model : the machine's inverse
     before : the plant before the first section; None: others have moved the nozzle, and it is at rest
-    wants : asked once for each section whether the prediction samples it; None: there is no prediction
     layers_before : layers of the file that have begun before this program
     extent : the part of the program that is written, if it begins or ends in motion
 
@@ -76,7 +74,7 @@ def solutions(
     ------
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    travelling = _linear(planned, model, before, wants, layers_before, extent)
+    travelling = _linear(planned, model, before, layers_before, extent)
     if model.printer is not None:  # correct them by the whole printer, effects included
         from ffcomp.inverse.nonlinear import correct_sections
 
@@ -92,7 +90,6 @@ def _linear(
     planned: PlannedProgram,
     model: InverseModel,
     before: Resting | None,
-    wants: Callable[[Reference], bool] | None,
     layers_before: int,
     extent: Extent,
 ) -> Iterator[SolvedSection]:
@@ -117,15 +114,12 @@ def _linear(
             written = part.written(trajectory, section, settings)
         if written.reference.knots * settings.rows_per_segment == len(offset):
             written.reference.robust_offset = offset
-        sampled = wants is not None and wants(written.reference)
         if settings.slowing.slow:
-            solved = solve_feasible(
-                model, PlannedSection(program, trajectory, section, written, state, replanner, part, sampled)
-            )
+            request = PlannedSection(program, trajectory, section, written, state, replanner, part)
+            solved = solve_feasible(model, request)
         else:
-            result = solve(model, written.reference, state, keep_response=sampled)
-            solved = SolvedSection(trajectory, section, written, result)
-        solved = replace(solved, sampled=sampled, rest_s=rest)
+            solved = SolvedSection(trajectory, section, written, solve(model, written.reference, state))
+        solved = replace(solved, rest_s=rest)
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
         solved = _checked(solved, planned, model, part)

@@ -255,7 +255,7 @@ class Ensemble:
             return
         model, s, reference = self.model, self.model.settings, written.reference
         nozzle, velocity = reference.substeps(0, reference.knots)
-        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2])
+        place = model.places(nozzle)
         centripetal = model.kinematics.rate_term(nozzle, np.ascontiguousarray(velocity))
         filament = np.diff(reference.extrusion())
         played = sample_even_segments(solution.vertices, filament, s.segment_s, s.output, s.substeps)

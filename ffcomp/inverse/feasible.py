@@ -12,7 +12,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.inverse.command_limits import ACCELERATION, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference, WrittenReference, context_s, rooms_of
-from ffcomp.inverse.solve import Solution
+from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
     PlannedSection,
     Replanner,
@@ -20,7 +20,6 @@ from ffcomp.inverse.time_scaling import (
     TimeScaling,
     after_events,
     late_segments,
-    solved,
 )
 from ffcomp.planner.lifts import FLOWS_MM
 from ffcomp.planner.limits import lines_of
@@ -46,7 +45,6 @@ class SolvedSection:
     slowed: tuple[TimeScaling, ...] = ()
     lost_s: float = 0.0
     fault: str = ""  # why its original lines must be written instead; empty: its command is safe
-    sampled: bool = False  # by the prediction, which needs its response
     rest_s: float | None = None  # since the section before it ended; None: others have moved the nozzle
 
     @property
@@ -76,7 +74,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
         if (found := _within_limits(model, request, written, gentle)) is not None:
             return found
     written = request.written
-    solution = solved(model, request, written, enforce_limits=False)
+    solution = solve(model, written.reference, request.state, enforce_limits=False)
     scaled = ScaledSection(model, request)
     written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
@@ -122,7 +120,7 @@ def _within_limits(
     events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
     rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
     for left in reversed(range(rounds + 1)):
-        solution = solved(model, request, written, enforce_limits=False)
+        solution = solve(model, written.reference, request.state, enforce_limits=False)
         beyond = _beyond(model, written, solution, gentle, events)
         if not beyond[written.first : written.last].any():
             return SolvedSection(request.trajectory, request.section, written, solution)

@@ -63,7 +63,7 @@ class KnotWindow:
         self.iterate, self.at, self.end = iterate, at, end
         self.nozzle, self.velocity = iterate.reference.substeps(at, end)
         self.reference_q = iterate.model.kinematics.inverse(self.nozzle[:: s.substeps])
-        self.place = np.ascontiguousarray(self.nozzle[s.substeps // 2 :: s.substeps, :2])
+        self.place = iterate.model.places(self.nozzle)
         self._centripetal = iterate.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
         self._stride = s.substeps // s.rows_per_segment
         self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
@@ -262,6 +262,21 @@ class InverseModel:
             t = reference.t0 + rows * s.segment_s / s.rows_per_segment
             paths.append(Path(reference.nozzle(t), reference.moving(t)))
         return self._robust.offsets(paths)
+
+    def respond(self, reference: Reference, command: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nozzle (n, 3) mm after every substep of a section, and the plant's state (18,) at its end.
+
+        command : (n + 1, 3) mm, of the nozzle;  state : (18,) at the section's beginning
+        """
+        nozzle, velocity = map(np.ascontiguousarray, reference.substeps(0, reference.knots))
+        rates, moved = self.kinematics.rate_term(nozzle, velocity), self.kinematics.inverse(command)
+        q, states = self.plant.play(self.places(nozzle), rates, moved, state, self.settings.substeps)
+        return self.kinematics.forward(q), states[-1]
+
+    def places(self, nozzle: FloatArray) -> FloatArray:
+        """Return where the plant is looked up for each segment, (n, 2) mm, of a nozzle at the substeps (m, 3) mm."""
+        substeps = self.settings.substeps
+        return np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2])
 
     def state_after_rest(self, state: FloatArray, nozzle: FloatArray, duration_s: float) -> FloatArray:
         """Return the state after the command has rested at (3,) mm for a while: what still rings, rings on."""

@@ -114,7 +114,7 @@ class FrictionBacklash:
         s, kinematics = self._model.settings, self._model.kinematics
         nozzle, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
         e = self._beyond(kinematics.inverse(nozzle), stretch)
-        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2])
+        place = self._model.places(nozzle)
         rows = slice(s.substeps // s.rows_per_segment - 1, None, s.substeps // s.rows_per_segment)
         jacobian = self._model.machine.kinematics.jacobian(nozzle[1:, :2][rows])
         knots, t = np.arange(len(iterate.gamma)), np.arange(len(nozzle)) / s.substeps
@@ -329,5 +329,6 @@ def _vertices(iterate: Iterate, gamma: FloatArray) -> FloatArray:
 
 def _result(model: InverseModel, each: _Round, linear: Solution) -> Solution:
     vertices = _vertices(each.iterate, each.best)
-    response = each.response if len(linear.response) else linear.response
-    return replace(linear, vertices=vertices, response=response, utilisation=peak_utilisation(vertices, model.limits))
+    return replace(
+        linear, vertices=vertices, response=each.response, utilisation=peak_utilisation(vertices, model.limits)
+    )

@@ -175,15 +175,6 @@ class PlannedSection:
     state: FloatArray  # (18,) of the plant at the section's first knot
     replanner: Replanner  # plans as the trajectory was planned
     extent: Extent = WHOLE
-    keep_response: bool = False
-
-
-def solved(
-    model: InverseModel, request: PlannedSection, written: WrittenReference, enforce_limits: bool = True
-) -> Solution:
-    """Solve a section on its knots."""
-    keep = request.keep_response
-    return solve(model, written.reference, request.state, keep_response=keep, enforce_limits=enforce_limits)
 
 
 class ScaledSection:
@@ -214,7 +205,7 @@ class ScaledSection:
             if not self._fit():
                 self.moves, self.plan, self.reasons = moves, plan, {}
             written, solution, violations = self._attempt(tolerance_mm, self._free())
-            solution = solved(self.model, self.request, written) if violations else solution
+            solution = self._solved(written) if violations else solution
         return written, solution
 
     def scale(self, tolerance_mm: float, first: Command | None = None) -> tuple[WrittenReference, Solution]:
@@ -228,10 +219,10 @@ class ScaledSection:
             reach = max(number - LOCAL_ROUNDS, 0)
             if not self._slow(written.reference, violations, reach):
                 # the rest is near a cut: constrained, off the path; a warning states where a limit is still exceeded
-                return written, solved(self.model, self.request, written)
+                return written, self._solved(written)
             self._plan_again()
         written, _, violations = self._attempt(tolerance_mm, self._free())
-        solution = solved(self.model, self.request, written)
+        solution = self._solved(written)
         if self.extent == WHOLE and solution.utilisation > 1.0 + SOLVER_ACCURACY:
             line = self._line_of(written.reference, violations[0])
             raise LimitsError(
@@ -263,7 +254,10 @@ class ScaledSection:
         written.reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
             written.reference.calm(self._slower_segments(written.reference))
-        return written, solved(self.model, self.request, written, enforce_limits=False)
+        return written, self._solved(written, enforce_limits=False)
+
+    def _solved(self, written: WrittenReference, enforce_limits: bool = True) -> Solution:
+        return solve(self.model, written.reference, self.request.state, enforce_limits=enforce_limits)
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
@@ -286,7 +280,7 @@ class ScaledSection:
             return written, solution, violations
         whole = (written.first, written.last) == (0, written.reference.knots)
         if not (asked if whole else asked[1:-1][written.first : written.last]).max() <= 1.0:  # nor if not a number
-            solution = solved(self.model, self.request, written)
+            solution = self._solved(written)
             violations = among(solution_violations(solution, asked[1:-1], tolerance_mm, model.limits))
         late = late_segments(model, written, solution.vertices, self.plan.start_t[self._after_events])
         timing = (Violation(*ends, TIMING, 0, 1.0, LATE_FACTOR) for ends in _ranges(widened(late, 1)))

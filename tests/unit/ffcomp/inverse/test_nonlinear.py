@@ -43,14 +43,14 @@ def part() -> PrintSlice:
 def solved(machine: Machine, printer: Machine | None = None) -> tuple[InverseModel, list[SolvedSection]]:
     inverter = InverseModel(machine, settings_for(machine))
     vars(inverter)["printer"] = printer or inverter.printer  # a printer that is not the one believed in
-    return inverter, [each for _, each in solutions(part().planned, inverter, wants=lambda _: True) if each is not None]
+    return inverter, [each for _, each in solutions(part().planned, inverter) if each is not None]
 
 
 @cache
 def answers_of(machine: Machine) -> tuple[list[SolvedSection], int]:
     """The answers for a printer that is as its file says, and how often all of it was simulated."""
     with patch.object(nonlinear, "_played", side_effect=nonlinear._played) as rounds:
-        return solved(machine)[1], rounds.call_count
+        return solved(machine, machine)[1], rounds.call_count
 
 
 def tracking_um(answers: list[SolvedSection]) -> float:
