@@ -3,8 +3,8 @@
 Chunks are cut where the nozzle rests. A long motion without a rest, such as a vase in one spiral, is cut in motion, at
 a knot. Both chunks then hold the path around the cut, and each writes its own side of it.
 
-A chunk also holds the last moves before it, because the printer may still ring, and the limits in effect. So chunks can
-be compensated in parallel, and the result does not depend on how many are.
+A chunk also holds what others have done since the last move before it, and the limits in effect. So chunks can be
+compensated in parallel, and the result does not depend on how many are. Each begins as if the printer had come to rest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from models.arrays import FloatArray, IntArray
 PlanOf = Callable[[Program], Trajectory]
 Ease = Callable[[Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]]  # around a cut; layers before
 
-REMEMBERED_S = 0.5  # of motion before a chunk: more than twice what the printer remembers
 LONGEST_S = 300.0  # of motion in a chunk
 MOST_MOVES = 50_000  # moves without a rest, before they are cut in motion
 CUT_CLEARANCE = 0.25  # knots around such a cut without a line of the file
@@ -44,7 +43,6 @@ class Chunk:
     """A program from rest to rest, or what is written of it."""
 
     program: Program
-    before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
     since: tuple[Event, ...] = ()  # after the last move before it that travels; counted back from its beginning
     limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
@@ -154,9 +152,8 @@ class _Known:
         ahead, plan = self.ahead, self.plan.part(move)
         head, tail = split(ahead.program, move)
         since = _since_travel(head)
-        before = _remembered(head, since, self.plan.part(0, move))
         layers = ahead.layers + len(layer_starts(head))
-        left = Chunk(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
+        left = Chunk(tail, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.splitting.lead_s
         return replace(ahead, program=head), _Known(left, plan, begin_t, self.splitting)
 
@@ -276,21 +273,3 @@ def _since_travel(chunk: Program) -> tuple[Event, ...]:
         if alone_s := float(quickest[event.move : until].sum()):
             events.append(Event(int(chunk.moves.line[until - 1]), until - 1, EventKind.PASS, event.frame, alone_s))
     return tuple(shifted(events, -len(chunk.lines), -len(chunk.moves)))
-
-
-def _remembered(chunk: Program, since: tuple[Event, ...], plan: Trajectory) -> Program | None:
-    """Return the last moves of a chunk, from a rest on, that take half a second at least; of a long motion its end.
-
-    None is returned where others have moved the nozzle after its last move that travels.
-    """
-    moves = chunk.moves
-    if any(event.kind in (EventKind.STOP, EventKind.RAW_MOVE) for event in since):
-        return None
-    quickest = lines_of(moves).length / moves.speed
-    left = np.cumsum(quickest[::-1])[::-1]  # until the end, at least
-    rests = rests_of(chunk)
-    enough = rests[left[rests] >= REMEMBERED_S]
-    first = int(enough[-1]) if enough.size else 0
-    if plan.end_t - plan.start_t[first] > 2 * LEAST_CONTEXT_S and not rests[rests > first].size:
-        return _from(chunk, plan, plan.end_t - LEAST_CONTEXT_S)[1]
-    return excerpt(chunk, first)

@@ -1,4 +1,4 @@
-"""Plan a chunk as the firmware will, and find the printer's state at its beginning."""
+"""Plan a chunk as the firmware will, and find how long to wait until ringing dies away."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from ffcomp.compensation.chunks import Chunk
 from ffcomp.compensation.faster import Faster, faster_chunk
-from ffcomp.compensation.solve import Resting, solutions
 from ffcomp.compensation.statistics import Statistics, of_plan, of_raw
 from ffcomp.faster.bound import Bound
 from ffcomp.firmware.program import PlannedProgram, plan_program, planner_of, raw_durations
@@ -39,7 +38,6 @@ class PlannedChunk:
 
     chunk: Chunk
     planned: PlannedProgram
-    before: Resting | None = None  # the plant's state after the moves before it; None: others have moved the nozzle
     simulated: bool = False  # whether the prediction may sample it
     statistics: Statistics = field(default_factory=Statistics)  # of its plan
     raw_s: Mapping[int, float] = field(default_factory=dict)  # durations of raw moves and filament changes
@@ -52,14 +50,13 @@ class PlannedChunk:
 
 
 def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
-    """Plan a chunk, and solve the last moves before it, as the printer may still ring."""
+    """Plan a chunk."""
     model, machine = context.model, context.model.full_machine
     faster: Faster | None = None
     if context.bound is None:
         planned = plan_program(chunk.program, machine)
     else:
         planned, faster = faster_chunk(chunk, context.bound, model)
-    before = None if chunk.before is None else _left_behind(chunk, plan_program(chunk.before, machine), model)
     lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
     warnings = [*chunk.program.warnings, *(faster.warnings if faster is not None else ())]
     if chunk.extent.end is None:
@@ -94,18 +91,7 @@ def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
     # of a motion in several chunks, a share of them is sampled
     share = min(context.share, 1.0)
     simulated = share > 0.0 if chunk.extent == WHOLE else ceil(share * (chunk.cuts + 1)) > ceil(share * chunk.cuts)
-    return PlannedChunk(chunk, planned, before, simulated, statistics, raw_s | changes_s, waits)
-
-
-def _left_behind(chunk: Chunk, past: PlannedProgram, model: InverseModel) -> Resting | None:
-    """Return the plant after the moves before a chunk, on the chunk's clock; None: none of them travels."""
-    resting = None
-    for _, solved in solutions(past, model):
-        resting = resting if solved is None else Resting.after(solved, past)
-    if resting is None:
-        return None
-    dwells_s = sum(event.dwell_s for event in chunk.since if event.move == 0)
-    return replace(resting, since_t=resting.since_t - past.trajectory.end_t - dwells_s)
+    return PlannedChunk(chunk, planned, simulated, statistics, raw_s | changes_s, waits)
 
 
 # Vibration that is left at most when the first compensated extrusion begins. In the first 100 ms of a straight line

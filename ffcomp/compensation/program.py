@@ -51,7 +51,6 @@ def compensated_sections(
     for section, solved in solutions(
         planned,
         model,
-        chunk.before,
         layers_before=chunk.chunk.layers,
         extent=extent,
     ):

@@ -53,20 +53,17 @@ def replanner_of(program: Program, machine: Machine, layers_before: int) -> Repl
 def solutions(
     planned: PlannedProgram,
     model: InverseModel,
-    before: Resting | None = None,
-    *,
     layers_before: int = 0,
     extent: Extent = WHOLE,
 ) -> Iterator[tuple[Section, SolvedSection | None]]:
     """Yield the sections in order, each with its solution, or None where only filament moves.
 
-    Each solution begins with the vibration that the one before it leaves.
+    Each solution begins with the vibration that the one before it leaves, the first one at rest.
 
     Parameters
     ----------
     planned : a chunk's program
     model : the machine's inverse
-    before : the plant before the first section; None: others have moved the nozzle, and it is at rest
     layers_before : layers of the file that have begun before this program
     extent : the part of the program that is written, if it begins or ends in motion
 
@@ -74,7 +71,7 @@ def solutions(
     ------
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    travelling = _linear(planned, model, before, layers_before, extent)
+    travelling = _linear(planned, model, layers_before, extent)
     if model.printer is not None:  # correct them by the whole printer, effects included
         from ffcomp.inverse.nonlinear import correct_sections
 
@@ -89,7 +86,6 @@ def solutions(
 def _linear(
     planned: PlannedProgram,
     model: InverseModel,
-    before: Resting | None,
     layers_before: int,
     extent: Extent,
 ) -> Iterator[SolvedSection]:
@@ -101,7 +97,7 @@ def _linear(
     # robust offsets of many sections together cost half of what they do one by one
     laid = [part.written(trajectory, section, settings) for part, section in zip(parts, travels, strict=True)]
     offsets = model.robust_offsets([written.reference for written in laid])
-    later = 0.0
+    later, before = 0.0, None
     for section, part, written, offset in zip(travels, parts, laid, offsets, strict=True):
         start = trajectory.origin[section.first, :3]
         if before is None or moved[section.first] or not before.is_at(start):
