@@ -163,8 +163,8 @@ class InverseModel:
 
     @cached_property
     def delay_s(self) -> float:
-        """The machine's lag behind a steady motion, s."""
-        return steady_delay(self.machine)
+        """τ of G(s) ≈ I − τ s, the machine's lag behind a steady motion, s, on average of its towers."""
+        return float(np.mean(self.machine.vibration.low_frequency(np.zeros((1, 2)))[0]))
 
     @cached_property
     def limits(self) -> CommandLimits:
@@ -313,8 +313,3 @@ class _Cache:
     def rows(self, name: str) -> int:
         """Return how many rows an array has; 0: there is none."""
         return len(self.arrays[name]) if name in self.arrays else 0
-
-
-def steady_delay(machine: Machine) -> float:
-    """Return τ of G(s) ≈ I − τ s, the machine's lag behind a steady motion, s, on average of its towers."""
-    return float(np.mean(machine.vibration.low_frequency(np.zeros((1, 2)))[0]))
