@@ -84,16 +84,16 @@ class Event(NamedTuple):
     raw: RawMove | None = None  # of a RAW_MOVE
     lasts_s: float = 0.0  # the slicer's time for a filament change
 
+    def to_return(self, before: bool) -> bool:
+        """Return whether a macro that comes back has moved the nozzle last, if `before` says so of the line before."""
+        return self.returns or (before and not self.moves_itself)
 
-def shifted(
-    events: Iterable[Event], line: int, move: int, frame: Mapping[int, int] | Sequence[int] | None = None
-) -> list[Event]:
+
+def shifted(events: Iterable[Event], line: int, move: int, frame: Mapping[int, int] | Sequence[int]) -> list[Event]:
     """Return the events with line and move numbers shifted and frames renumbered."""
     # positional, because `_replace` takes twice as long and this runs several times for every event
     return [
-        Event(
-            at + line, before + move, kind, f if frame is None else frame[f], dwell, limits, moves, returns, raw, lasts
-        )
+        Event(at + line, before + move, kind, frame[f], dwell, limits, moves, returns, raw, lasts)
         for at, before, kind, f, dwell, limits, moves, returns, raw, lasts in events
     ]
 

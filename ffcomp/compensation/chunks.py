@@ -3,8 +3,8 @@
 Chunks are cut where the nozzle rests. A long motion without a rest, such as a vase in one spiral, is cut in motion, at
 a knot. Both chunks then hold the path around the cut, and each writes its own side of it.
 
-A chunk also holds what others have done since the last move before it, and the limits in effect. So chunks can be
-compensated in parallel, and the result does not depend on how many are. Each begins as if the printer had come to rest.
+A chunk also holds the limits in effect. So chunks can be compensated in parallel, and the result does not depend on how
+many are. Each begins as if the printer had come to rest.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from operator import attrgetter
 
 import numpy as np
@@ -24,7 +23,7 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import PathPosition, Trajectory
 from gcode.layers import UNNAMED, last_feature, layer_starts
-from gcode.program import Event, EventKind, LimitCommand, Moves, Program, limits_in_effect, shifted
+from gcode.program import LimitCommand, Moves, Program, limits_in_effect
 from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
@@ -43,7 +42,7 @@ class Chunk:
     """A program from rest to rest, or what is written of it."""
 
     program: Program
-    since: tuple[Event, ...] = ()  # after the last move before it that travels; counted back from its beginning
+    to_return: bool = False  # a macro that comes back has run since the last move before it
     limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
     extent: Extent = WHOLE  # the part of it that is written
@@ -151,9 +150,8 @@ class _Known:
     def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
         ahead, plan = self.ahead, self.plan.part(move)
         head, tail = split(ahead.program, move)
-        since = _since_travel(head)
         layers = ahead.layers + len(layer_starts(head))
-        left = Chunk(tail, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
+        left = Chunk(tail, _to_return(head), limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.splitting.lead_s
         return replace(ahead, program=head), _Known(left, plan, begin_t, self.splitting)
 
@@ -255,21 +253,11 @@ def rests_of(program: Program) -> IntArray:
     return np.flatnonzero(rests)
 
 
-def _since_travel(chunk: Program) -> tuple[Event, ...]:
-    """Return the events after a chunk's last move that travels, their lines and moves counted back from its end.
-
-    Where filament moves alone after one of them, a pause of its own counts that: what rings settles meanwhile.
-    """
-    lines = lines_of(chunk.moves)
-    travelling = np.flatnonzero(lines.travels)
+def _to_return(chunk: Program) -> bool:
+    """Return whether a macro that comes back is the last to have moved the nozzle after a chunk's last move."""
+    travelling = np.flatnonzero(lines_of(chunk.moves).travels)
     last = int(travelling[-1]) if len(travelling) else -1
-    found = chunk.events[bisect_right(chunk.events, last, key=attrgetter("move")) :]
-    quickest = lines.length / chunk.moves.speed
-    events = list[Event]()
-    for event, end in pairwise([*found, None]):
-        assert event is not None
-        events.append(event)
-        until = len(chunk.moves) if end is None else end.move
-        if alone_s := float(quickest[event.move : until].sum()):
-            events.append(Event(int(chunk.moves.line[until - 1]), until - 1, EventKind.PASS, event.frame, alone_s))
-    return tuple(shifted(events, -len(chunk.lines), -len(chunk.moves)))
+    returns = False
+    for event in chunk.events[bisect_right(chunk.events, last, key=attrgetter("move")) :]:
+        returns = event.to_return(returns)
+    return returns

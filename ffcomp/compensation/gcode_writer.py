@@ -62,7 +62,7 @@ class GcodeRenderer:
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False
-        self.to_return = False  # a macro that comes back has run since the last move
+        self.to_return = chunk.chunk.to_return
         self.move = 0  # the last that was begun: its limits are the file's own
         self.file_limits = dict(chunk.chunk.limits)  # what the file has set of each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
@@ -73,19 +73,15 @@ class GcodeRenderer:
         self.written: Sequence[TimedSegments] = []
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not, s
         self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
-        self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
+        self._events = EventQueue(program.events)
         stops, waits = stops_and_waits(program)
         self._at_rest = stops | (waits > 0.0)  # (n,) before each move
-        self.note_returns(chunk.chunk.since)
 
     # -- a chunk, in the file's order
 
     def before(self, section: Section) -> Iterator[bytes]:
         """Write the lines before a section."""
         yield from self._events_before(section.first)
-        if wait_s := self._waits_s.get(section.first):
-            self.now_s += wait_s
-            yield b"G4 P%.0f" % (1e3 * wait_s) + OURS + self.ending
 
     def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
         """Write the segments of a section, tile by tile, and the lines in it."""
@@ -112,7 +108,7 @@ class GcodeRenderer:
     def _filament_after(self, section: Section) -> Filament | None:
         """Return the filament that moves behind a section, if the firmware's queue holds it while the section ends."""
         moves, k = self._planned.program.moves, section.last
-        if k >= len(moves) or self._at_rest[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
+        if k >= len(moves) or self._at_rest[k] or np.any(moves.end[k, :3] != moves.start[k, :3]):
             return None
         return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
 
@@ -153,7 +149,7 @@ class GcodeRenderer:
         else:
             yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
-        self.note_returns([event])
+        self.to_return = event.to_return(self.to_return)
         self._take_frame(event.frame)
         if self.open and (command := self.filament.set_by(line)):
             yield from self._filament_count(command, event.move)
@@ -170,11 +166,6 @@ class GcodeRenderer:
             self._set_frame(place)
         else:
             yield from self._ours(self.filament.opening(frame))
-
-    def note_returns(self, events: Iterable[Event]) -> None:
-        """Note whether the last to have moved the nozzle is a macro that comes back."""
-        for event in events:
-            self.to_return = event.returns or (self.to_return and not event.moves_itself)
 
     def close(self) -> Iterator[bytes]:
         """End a block: the file's limits and feed are in force again."""

@@ -185,7 +185,7 @@ class Result:
         return self.embedded if self.steps is None else None
 
 
-COUNTED = ("print_time_s", "original_print_time_s", "settlings", "settling_s", "moves", "segments", "windows")
+COUNTED = ("print_time_s", "original_print_time_s", "moves", "segments", "windows")
 PRINT_KEYS = keys(
     *("machine", "compute_time_s", "size", "faster", "steps", "original_embedded"),
     flavor="flavor.flavor",
@@ -324,12 +324,6 @@ class CompensatedFile(VerbResult):
             yield "Faster", faster_line(result.faster)
             yield "Time limited by", limits_in_words(result.faster.limited_by)
             yield "Uncertainty", uncertainty_line(result.machine)
-        if times := numbers.settlings:
-            yield (
-                "Rests",
-                f"{times}, {numbers.settling_s:.2g} s in all: what the firmware moves by itself stops ringing before "
-                "extrusion begins",
-            )
         reasons = (result.flavor.reason, result.placement.reason, result.robust.reason)
         shaper = result.shaper.reason if result.shaper else ""
         for name, reason in zip(("Firmware", "Place", "Inverse", "Input shaper"), (*reasons, shaper), strict=True):

@@ -169,8 +169,6 @@ class Statistics:
     slowed: tuple[TimeScaling, ...] = ()
     predicted: Samples | None = None
     shares: Shares = field(default_factory=Shares)
-    settlings: int = 0  # waits until the ringing after the firmware's own moves has died away
-    settling_s: float = 0.0
     faster: Faster | None = None  # None: without a bound
     unsafe: tuple[Unsafe, ...] = ()  # uncompensated because their command failed its check
 

@@ -59,13 +59,12 @@ class StepRenderer:
         self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
         self._kinematics = context.model.full_machine.kinematics
         self._segment_s = context.model.settings.segment_s
-        self._events, self._waits_s = EventQueue(chunk.planned.program.events), chunk.waits_s
+        self._events = EventQueue(chunk.planned.program.events)
 
     def before(self, section: Section) -> Iterable[bytes]:
-        """Wait until a section begins, and give the lines before it their tick."""
+        """Give the lines before a section their tick."""
         if self._extent.begin is None or section is not self._planned.sections[0]:
             self._between(section.first)
-            self._stream.clock_s += self._waits_s.get(section.first, 0.0)
         return ()
 
     def sliced(self, section: Section) -> Iterable[bytes]:

@@ -74,7 +74,7 @@ def test_slow_lifts_are_late_rather_than_slower(robust: bool) -> None:
         pass
     found = stream.value.statistics
     assert not found.slowed
-    assert found.print_time_s - found.settling_s < 1.035 * found.original_print_time_s
+    assert found.print_time_s < 1.035 * found.original_print_time_s
 
 
 def test_a_purge_line_that_descends_keeps_nearly_its_speed() -> None:

@@ -106,24 +106,10 @@ def test_what_follows_an_unknown_place_begins_where_the_nozzle_is(
         assert violations(data, out, machine, flavor=flavor) == []
         assert farthest_mm(data, out, machine, flavor) < 0.035
         numbers = stream.value.statistics
-        longer_s = numbers.print_time_s - numbers.original_print_time_s - numbers.settling_s
+        longer_s = numbers.print_time_s - numbers.original_print_time_s
         assert not numbers.slowed and longer_s < 0.06
         seen = preview(out, "print.gcode", machine, flavor=flavor)
         assert seen.after.track.contour_rms_um < 0.5 * seen.before.track.contour_rms_um < 50.0
-
-
-@pytest.mark.parametrize(("name", "flavor"), [("voron-300", "klipper"), ("ender-3", "marlin")])
-def test_ringing_settles_while_filament_moves_alone(name: str, flavor: str) -> None:
-    """The second wait is shorter by what the filament takes, also where its move is the last of a chunk."""
-    machine, waits_s = load_machine(name), []
-    for feed in (1800, 600, 120):  # 27, 80 and 400 ms
-        data = shifted(ELSEWHERE.format(unknown="T1")).replace("G1 E.8 F1800", f"G1 E.8 F{feed}").encode()
-        stream = Job(data, "print.gcode", machine, plainly(predict=False, flavor=flavor)).lines()
-        b"".join(stream)
-        waits_s.append(stream.value.statistics.settling_s)
-    assert 0.1 < waits_s[0] < 0.3  # two of them
-    assert waits_s[0] - waits_s[1] == pytest.approx(0.8 / 10 - 0.8 / 30, abs=2e-3)
-    assert waits_s[2] == pytest.approx(0.5 * (waits_s[0] + 0.8 / 30), abs=3e-3)
 
 
 def farthest_mm(data: bytes, out: bytes, machine: Machine, flavor: str) -> float:
