@@ -42,13 +42,8 @@ class EffortCurve:
     error_um: FloatArray  # (k,) rms over places
     peak_mm_per_s2: FloatArray  # (k,) of the carriages' command, over places
 
-    @property
-    def knee_hz(self) -> float:
-        """The bandwidth at the knee, Hz."""
-        return self.knee_above(0.0)
-
-    def knee_above(self, floor_um: float) -> float:
-        """Return the bandwidth at the knee where so much more is left anyway, Hz."""
+    def knee_hz(self, floor_um: float = 0.0) -> float:
+        """Return the bandwidth at the knee, Hz, where so much more is left anyway."""
         return float(self.bandwidth_hz[np.argmin(np.hypot(self.error_um, floor_um) * self.peak_mm_per_s2**1.5)])
 
 
@@ -193,8 +188,8 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     return Settings(
         output=output,
         segment_s=segment_s,
-        bandwidth_hz=curve.knee_hz,
-        robust_share=1.0 if coupled else curve.knee_above(FLOOR_UM) / curve.knee_hz,
+        bandwidth_hz=curve.knee_hz(),
+        robust_share=1.0 if coupled else curve.knee_hz(FLOOR_UM) / curve.knee_hz(),
         compliance_s2=nozzle_compliance(design),
     )
 

@@ -96,7 +96,7 @@ def _modes() -> Iterable[list[str]]:
 
 def _accuracy() -> Iterable[list[str]]:
     curve = effort_curve(load_machine("mp-delta-pro"), 0.004)
-    is_knee = np.isclose(curve.bandwidth_hz, curve.knee_hz)
+    is_knee = np.isclose(curve.bandwidth_hz, curve.knee_hz())
     every_other = slice(int(np.argmax(is_knee)) % 2, None, 2)
     columns = (curve.bandwidth_hz, curve.error_um, 1e-3 * curve.peak_mm_per_s2, is_knee)
     for f, error, peak, knee in zip(*(column[every_other] for column in columns), strict=True):
