@@ -139,8 +139,7 @@ def show(request: ShowRequest) -> Result:
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
     machine = load_machine(request.machine) if request.machine else machine_of(stamp, file)
-    offset = find_offset(data[:STAMP_REACH])
-    seen = preview(data, str(file), machine, offset, stamp.flavor)
+    seen = preview(data, str(file), machine)
     footer = (
         f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
         f"ffcomp v{__version__}"
@@ -148,7 +147,7 @@ def show(request: ShowRequest) -> Result:
     if target is not None and (original := seen.original) is not None:
         of_original = request.preview_of == "original"
         curve = (seen.before, original.before_due) if of_original else (seen.after, original.after_due)
-        replace_atomically(target, gcode_preview(original, *curve, offset))
+        replace_atomically(target, gcode_preview(original, *curve, find_offset(data[:STAMP_REACH])))
     picture = request.output or file.with_name(file.name + ".png")
     predicted, kept = forecast_in(data[-STAMP_REACH:], stamp, machine, lambda: seen.forecast(machine))
     figure = show_figure(seen, predicted, f"{file.name} on {machine.name}", footer, request.z_mm)

@@ -32,7 +32,6 @@ from ffcomp.simulation.preview import Curve, Preview, preview
 from ffcomp.simulation.simulation import Simulation
 from ffcomp.version import __version__
 from gcode.container import read_bytes
-from gcode.embedded import STAMP_REACH, already_processed, find_offset
 from models.arrays import BoolArray, FloatArray
 
 WIDTH, LETTERS = 7.2, 88  # inches: readable on a phone; letters across the picture
@@ -77,10 +76,7 @@ def compensation_figure(done: CompensatedFile, *, z_mm: float | None = None) -> 
     """
     if done.output is None:
         raise RequestError("Nothing was written, so there is nothing to draw: name an output.")
-    data = read_bytes(done.output, None)
-    stamp = already_processed(data)
-    flavor = stamp.flavor if stamp else None
-    seen = preview(data, str(done.output), done.machine, find_offset(data[:STAMP_REACH]), flavor)
+    seen = preview(read_bytes(done.output, None), str(done.output), done.machine)
     return show_figure(seen, done.result.forecast, f"{done.output.name} on {done.machine.name}", z_mm=z_mm)
 
 

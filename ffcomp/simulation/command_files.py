@@ -8,7 +8,7 @@ them, so the staircase is the command rounded to them, neither early nor late, n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,32 +54,41 @@ def read_gcode(
     offset : (float, float), added to every position, mm; a compensated file states its own
     flavor : "" for what the machine file says, or else the file
     """
+    if (both := read_compensated(data, path, machine)) is not None:
+        plans, reference = (both.written.trajectory, both.original.trajectory), UNSHAPED if both.by_axis else ORIGINAL
+        return _command(*plans, both.clock, machine, reference, both.by_axis), both.written.program
     firmware = known_to_the_firmware(machine)
-    inside = partial(within_reach, kinematics=machine.kinematics)
-    stamp = already_processed(data)
-    if stamp is None:
-        program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None, **firmware)
-        return gcode_command(plan_program(inside(program), machine), machine), program
-    program = read_program(data, path, flavor=stamp.flavor, **firmware)
-    offset = find_offset(data[:STAMP_REACH])
-    reference = read_program(original(data), path, offset_mm=offset, flavor=stamp.flavor, **firmware)
-    executed, planned = (plan_program(inside(each), machine) for each in (program, reference))
-    if (shaper := find_shaper(data[:STAMP_REACH])) is None:
-        return compensated_command(executed, planned, machine), program
-    plan, by_axis = planned.trajectory, Tuned(*shaper).by_axis()
-    return _command(executed.trajectory, plan, reference_clock(plan), machine, UNSHAPED, by_axis), program
+    program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None, **firmware)
+    return gcode_command(plan_program(within_reach(program, machine.kinematics), machine), machine), program
+
+
+@dataclass(frozen=True, slots=True)
+class CompensatedPrint:
+    """A compensated file and its original, both as the firmware plans them, and how they align."""
+
+    written: PlannedProgram
+    original: PlannedProgram
+    clock: SectionClock
+    by_axis: Sequence[Shaper] = ()  # of the firmware, where the file is the print as sliced
+
+
+def read_compensated(data: bytes, path: str, machine: Machine) -> CompensatedPrint | None:
+    """Read a compensated file with the original that its comments keep; None: it has no stamp."""
+    if (stamp := already_processed(data)) is None:
+        return None
+    known, head = known_to_the_firmware(machine), data[:STAMP_REACH]
+    program = read_program(data, path, flavor=stamp.flavor, **known)
+    sliced = read_program(original(data), path, offset_mm=find_offset(head), flavor=stamp.flavor, **known)
+    written, planned = (plan_program(within_reach(each, machine.kinematics), machine) for each in (program, sliced))
+    if (shaper := find_shaper(head)) is not None:
+        return CompensatedPrint(written, planned, reference_clock(planned.trajectory), Tuned(*shaper).by_axis())
+    return CompensatedPrint(written, planned, section_clock(written, planned))
 
 
 def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:
     """Return a planned program, evaluated against its own path."""
     trajectory = planned.trajectory
     return _command(trajectory, trajectory, reference_clock(trajectory), machine, FILE_PLAN)
-
-
-def compensated_command(compensated: PlannedProgram, original: PlannedProgram, machine: Machine) -> Command:
-    """Return a compensated program, evaluated against the original's path."""
-    clock = section_clock(compensated, original)
-    return _command(compensated.trajectory, original.trajectory, clock, machine, ORIGINAL)
 
 
 def _command(

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.firmware.program import known_to_the_firmware, plan_program
 from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
-from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import (
     Motion,
@@ -21,17 +19,15 @@ from ffcomp.simulation.command import (
     motion_of,
     path_corners_with_rests,
     planned_motion,
-    reference_clock,
-    section_clock,
 )
-from ffcomp.simulation.expectation import Piece, Tuned, expectation, pieces_of
+from ffcomp.simulation.command_files import read_compensated
+from ffcomp.simulation.expectation import Piece, expectation, pieces_of
 from ffcomp.simulation.forecast import WAYS, Forecast
 from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
 from gcode.dialect import KLIPPER
-from gcode.embedded import STAMP_REACH, find_shaper, original_lines
+from gcode.errors import GcodeError
 from gcode.layers import labels, outer_walls
 from gcode.program import Program
-from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
 from models.effects.catalogue import design_machine
 from models.machine import Machine
@@ -96,32 +92,27 @@ class Preview:
         return Forecast(tracks, self.before.track.print_time_s, expected=expected)
 
 
-def preview(
-    data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str | None = None
-) -> Preview:
+def preview(data: bytes, path: str, machine: Machine) -> Preview:
     """Simulate the original and the compensated print, both in one file, with the design model.
 
-    offset : shift of the original's positions, mm
+    Raises
+    ------
+    GcodeError
+        If the file is not compensated.
     """
-    lines = data.splitlines(keepends=True)
-    firmware = known_to_the_firmware(machine)
-    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **firmware)
-    compensated = read_program(data, path, flavor=flavor, **firmware)
-    original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
-    planned, compensation = plan_program(original, machine), plan_program(compensated, machine)
-    reference, executed = planned.trajectory, compensation.trajectory
+    both = read_compensated(data, path, machine)
+    if both is None:
+        raise GcodeError("The file is not compensated.", path=path)
+    original, reference, executed = both.original.program, both.original.trajectory, both.written.trajectory
     path_t, corners = path_corners_with_rests(reference)
     playback = LinearPlayback(design_machine(machine)[0])
     before_t, before = simulate_linear(playback, reference)
-    shaper = find_shaper(data[:STAMP_REACH])
-    by_axis = Tuned(*shaper).by_axis() if shaper else ()
-    after_t, after = simulate_linear(playback, executed, by_axis)
+    after_t, after = simulate_linear(playback, executed, both.by_axis)
     before_reference = reference.position(before_t)[:, :3]
-    clock = reference_clock(reference) if shaper else section_clock(compensation, planned)
-    after_due = clock.plan_time(after_t)
+    after_due = both.clock.plan_time(after_t)
     after_reference = reference.position(after_due)[:, :3]
     kinds = _kinds(original, reference)
-    motions = planned_motion(reference), motion_of(executed, clock, by_axis)
+    motions = planned_motion(reference), motion_of(executed, both.clock, both.by_axis)
     peaks = [_peak(machine, *each) for each in zip(motions, (reference, executed), strict=True)]
     of_before, of_after = (
         contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after))

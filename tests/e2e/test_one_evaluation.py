@@ -15,7 +15,7 @@ from ffcomp.result import Result
 from ffcomp.serve.answers import answer_of
 from ffcomp.simulation.forecast import NO_FORECAST, forecast_in
 from ffcomp.simulation.preview import preview
-from gcode.embedded import already_processed, find_offset
+from gcode.embedded import already_processed
 from models.file import load_machine
 from tests.support.axis import write_axis
 from tests.support.cli import ffcomp
@@ -39,7 +39,7 @@ def drawn(target: Path, name: str) -> str:
     data, machine = target.read_bytes(), load_machine(name)
     stamp = already_processed(data)
     assert stamp is not None
-    seen = preview(data, str(target), machine, find_offset(data), stamp.flavor)
+    seen = preview(data, str(target), machine)
     forecast, _ = forecast_in(data, stamp, machine, lambda: NO_FORECAST)
     return str(show_figure(seen, forecast, "a print").get_suptitle())
 

@@ -108,7 +108,7 @@ def test_what_follows_an_unknown_place_begins_where_the_nozzle_is(
         numbers = stream.value.statistics
         longer_s = numbers.print_time_s - numbers.original_print_time_s
         assert not numbers.slowed and longer_s < 0.06
-        seen = preview(out, "print.gcode", machine, flavor=flavor)
+        seen = preview(out, "print.gcode", machine)
         assert seen.after.track.contour_rms_um < 0.5 * seen.before.track.contour_rms_um < 50.0
 
 

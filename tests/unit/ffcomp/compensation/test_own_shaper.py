@@ -63,7 +63,7 @@ def test_no_more_error_is_expected_than_with_the_firmwares_own_shaper(machine: M
 
 def test_it_is_simulated_through_the_shaper(machine: Machine) -> None:
     text, _ = written(machine, infill())
-    seen = preview(text, "infill", machine, flavor="marlin")
+    seen = preview(text, "infill", machine)
     assert 2.0 * seen.after.track.contour_rms_um < seen.before.track.contour_rms_um
     command, plain = (read_gcode(each, "infill", machine, flavor="marlin")[0] for each in (text, infill()))
     section, sliced = command.sections[0], plain.sections[0]

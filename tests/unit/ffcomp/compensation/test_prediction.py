@@ -25,7 +25,7 @@ def test_it_is_near_what_the_whole_file_does_when_it_is_read_again(layers: int, 
     done = compensate_file(squares(layers), "squares.gcode", MACHINE, plainly(flavor="klipper"), target)
     assert done.result.size == FileSize(len(squares(layers)), target.stat().st_size)
     found = done.result.forecast
-    again = preview(target.read_bytes(), "out.gcode", MACHINE, flavor="klipper").forecast(MACHINE)
+    again = preview(target.read_bytes(), "out.gcode", MACHINE).forecast(MACHINE)
     assert 3.0 < found.over_s <= again.over_s and found.expected is not None and again.expected is not None
     for name, near in (("uncompensated", 0.1), ("compensated", 0.06)):
         assert found.tracks[name].contour_rms_um == pytest.approx(again.tracks[name].contour_rms_um, rel=near)
@@ -44,7 +44,7 @@ def test_a_sliced_motion_begins_with_the_ringing_of_the_one_before(tmp_path: Pat
         done = compensate_file(data, "p.gcode", machine, plainly(offset_mm=(0.0, 0.0), flavor="klipper"), target)
         found.append(done.result.forecast.tracks["uncompensated"].contour_rms_um)
         if rest == 10:
-            again = preview(target.read_bytes(), "out.gcode", machine, flavor="klipper").forecast(machine)
+            again = preview(target.read_bytes(), "out.gcode", machine).forecast(machine)
             assert found[0] == pytest.approx(again.tracks["uncompensated"].contour_rms_um, rel=0.05)
     assert found[0] > 1.3 * found[1]
 
