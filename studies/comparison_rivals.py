@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import DAMPING, DAMPING_FACTORS, LinearPrinter, Shaping
+from ffcomp.comparison.baselines import COMMON_FACTORS, DAMPING, DAMPING_FACTORS, LinearPrinter, Shaping
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
@@ -58,8 +58,10 @@ def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[
         Label → contour rms on the linear plant, µm, of the kinds that are not.
     """
     linear = InversePrinter(machine, slices)
-    kinds = sorted((_known(linear, Shaping(kind)) for kind in SHAPERS), key=lambda known: known.found.cost)
-    first, inverted = kinds[:JUDGED], [_known(linear, ModeInverse(kind)) for kind in INVERTED]
+    kinds = sorted(
+        (Known(each, linear.best(each)) for each in map(Shaping, SHAPERS)), key=lambda known: known.found.cost
+    )
+    first, inverted = kinds[:JUDGED], [Known(each, linear.best(each)) for each in map(ModeInverse, INVERTED)]
     known = first + inverted
     if z_rings(machine):
         known += [_with_z(linear, each) for each in first + inverted]
@@ -69,8 +71,8 @@ def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[
 def inverse_within(machine: Machine, slices: list[PrintSlice], peak_mm_per_s2: float, span_s: float) -> Pair:
     """Set the best inverse of a mode whose command has no higher peak of acceleration."""
     linear = InversePrinter(machine, slices, peak_mm_per_s2, span_s)
-    each = [_known(linear, ModeInverse(kind)) for kind in INVERTED]
-    return _pair(linear, min(each, key=lambda known: known.found.cost))
+    found = [Known(each, linear.best(each)) for each in map(ModeInverse, INVERTED)]
+    return _pair(linear, min(found, key=lambda known: known.found.cost))
 
 
 def inversions(machine: Machine) -> list[TunedMethod]:
@@ -88,16 +90,13 @@ def z_rings(machine: Machine) -> bool:
     return bool(np.abs(answer).max() > 1.05)
 
 
-def _known(linear: LinearPrinter, rival: Shaping) -> Known:
-    return Known(rival, linear.best(rival))
-
-
 def _with_z(linear: LinearPrinter, known: Known) -> Known:
     """Shape z too: from the best of x and y on, z alone."""
     rival = replace(known.rival, shapes_z=True)
-    at = rival.names.index("z")
-    start = np.insert(known.found.settings, at, linear.calibrated(rival)[at])
-    return Known(rival, linear.best(rival, start, [at]))
+    at, others = rival.names.index("z"), known.found.settings
+    start, scans = linear.calibrated(rival)[[at]], [Scan([0], COMMON_FACTORS)]
+    found = search(lambda z: linear.cost(rival, np.insert(others, at, z)), start, scans)
+    return Known(rival, Optimum(np.insert(others, at, found.settings), found.cost))
 
 
 def _pair(linear: LinearPrinter, known: Known) -> Pair:
@@ -201,10 +200,10 @@ class InversePrinter(LinearPrinter):
             and peak_acceleration(carriages, STEP_S, self._span_s) <= self._peak_mm_per_s2
         )
 
-    def best(self, shaping: Shaping, start: FloatArray | None = None, free: Sequence[int] | None = None) -> Optimum:
+    def best(self, shaping: Shaping) -> Optimum:
         """Return the best settings; an inverse is sought from a kernel that is far quicker than the mode."""
-        if start is not None or not isinstance(shaping, ModeInverse):
-            return super().best(shaping, start, free)
+        if not isinstance(shaping, ModeInverse):
+            return super().best(shaping)
         begin = self.calibrated(shaping)
         modes = super().calibrated(Shaping("zv"))[:2]
         begin[:2], begin[-3:-1] = 3 * modes, modes

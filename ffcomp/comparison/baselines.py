@@ -111,14 +111,9 @@ class LinearPrinter:
         by_axis = shaping.shapers(settings)
         return self.contour_rms_um(lambda piece: piece.planned(*by_axis))
 
-    def best(self, shaping: Shaping, start: FloatArray | None = None, free: Sequence[int] | None = None) -> Optimum:
-        """Return the settings with the least contour rms on this print, and that.
-
-        The search begins at `start`, or at the calibrated ones, and may change the `free` ones, or all.
-        """
-        scans = shaping.scans if free is None else (Scan(free, COMMON_FACTORS),)
-        begin = self.calibrated(shaping) if start is None else start
-        return search(lambda settings: self.cost(shaping, settings), begin, scans, free)
+    def best(self, shaping: Shaping) -> Optimum:
+        """Return the settings with the least contour rms on this print, sought from the calibrated ones, and that."""
+        return search(lambda settings: self.cost(shaping, settings), self.calibrated(shaping), shaping.scans)
 
 
 def _piece(print_slice: PrintSlice) -> Piece:

@@ -30,7 +30,7 @@ class Optimum:
     cost: float
 
 
-def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = (), free: Sequence[int] | None = None) -> Optimum:
+def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = ()) -> Optimum:
     """Find settings with less cost than any neighbour some 1 % away, along each of them.
 
     Parameters
@@ -38,16 +38,14 @@ def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = (), free: Sequ
     cost : infinite where settings are not allowed
     start : (k,) above zero
     scans : one after the other, each from the best so far
-    free : what steps may change; None: all
     """
     best = Optimum(np.asarray(start, dtype=float), cost(start))
     for scan in scans:
         best = _least(cost, [_times(best.settings, scan.which, factor) for factor in scan.factors], best)
     step = _FIRST_STEP
-    indices = range(len(start)) if free is None else free
     while step > _LAST_STEP:
         before = best.cost
-        for k in indices:
+        for k in range(len(start)):
             best = _along(cost, best, k, step)
         if best.cost >= before:
             step = float(np.sqrt(step))
