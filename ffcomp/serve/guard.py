@@ -11,6 +11,7 @@ import hmac
 import ipaddress
 import socket
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -31,35 +32,24 @@ REPORT = "/api/jobs/"  # below it stand pages with scripts of their own
 
 def known_host(host: str, settings: ServeSettings) -> bool:
     """Return whether `Host` is an address or one of the server's names; see the module."""
-    name = (urlsplit(f"//{host}").hostname or "").lower()
-    try:
+    name = ""
+    with suppress(ValueError):  # no host, or no address
+        name = (urlsplit(f"//{host}").hostname or "").lower()
         ipaddress.ip_address(name)
         return True
-    except ValueError:
-        this = socket.gethostname().lower()
-        return name in {"localhost", this, f"{this}.local", settings.host.lower(), *map(str.lower, settings.names)}
-
-
-def same_origin(origin: str | None, host: str) -> bool:
-    """Return whether a request comes from this server's own page, or from no page at all."""
-    return origin is None or urlsplit(origin).netloc.lower() == host.lower()
+    this = socket.gethostname().lower()
+    return name in {"localhost", this, f"{this}.local", settings.host.lower(), *map(str.lower, settings.names)}
 
 
 def refusal(method: str, headers: dict[str, str], settings: ServeSettings) -> tuple[int, str] | None:
     """Return the status and the sentence of a request that is refused for where it comes from; None if it may pass."""
-    host = headers.get("host", "")
-    try:
-        known = known_host(host, settings)
-    except ValueError:
-        known = False
-    if not known:
-        return (
-            421,
-            f"This server is not called {host!r}. Use its address, or start it with --name {host.split(':')[0]}.",
-        )
+    host, origin = headers.get("host", ""), headers.get("origin")
+    if not known_host(host, settings):
+        remedy = f"Use its address, or start it with --name {host.split(':')[0]}."
+        return 421, f"This server is not called {host!r}. {remedy}"
     if method in SAFE:
         return None
-    if not same_origin(headers.get("origin"), host):
+    if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
         return 403, "The request comes from another page than this server's own."
     if MARK not in headers:
         return 403, f"The request lacks the header {MARK}."
