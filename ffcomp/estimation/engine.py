@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
-from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Statistics, Unknown, planned_slices, seconds
+from ffcomp.estimation.statistics import FILAMENT, KINDS, Statistics, Unknown, planned_slices, seconds
 from ffcomp.firmware.program import firmware_plan, planner_of, raw_durations, read_as_planned
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.numerics.serialise import ALL_OF, keys
@@ -70,7 +70,7 @@ class Estimate(Result):
         features = sorted(numbers.features.items(), key=lambda item: -seconds(item[1]))
         of_features = [(n, f"{share(seconds(row))}, {max(row[FILAMENT], 0.0) / 1e3:.2f} m") for n, row in features]
         filament = ("filament", f"{numbers.filament_mm / 1e3:.2f} m, {numbers.retractions} retractions")
-        times = sorted((seconds(each.row), each.number) for each in numbers.layers_in_order if each.number != BEFORE)
+        times = sorted((seconds(e.row), e.number) for e in numbers.layers_in_order if e.number is not None)
         layers = [("layers", f"{len(times)}")] if times else []
         if len(times) > 1:
             (least, low), (most, high) = times[0], times[-1]
@@ -82,7 +82,7 @@ class Estimate(Result):
         """Every layer's height, line in the file, and time."""
         return [
             (
-                "before" if each.number == BEFORE else f"layer {each.number}",
+                "before" if each.number is None else f"layer {each.number}",
                 f"z {each.z_mm:.2f} mm, line {each.line}: {clock(seconds(each.row))}",
             )
             for each in self.statistics.layers_in_order

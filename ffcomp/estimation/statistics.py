@@ -100,17 +100,12 @@ _HEIGHT_0 = -(1 << 40)  # keys of heights are counted from here, below those of 
 class Layer:
     """Time and filament of a layer."""
 
-    json_keys: ClassVar = keys("line", "filament_mm", layer="numbered", z_mm="highest_mm") | {ALL_OF: "spent"}
+    json_keys: ClassVar = keys("line", "filament_mm", layer="number", z_mm="highest_mm") | {ALL_OF: "spent"}
 
     row: FloatArray  # (6,), see `ffcomp.estimation.statistics`
     line: int  # its first, from 1
     z_mm: float = -np.inf  # of its highest extruding move; -inf: none extrudes
-    number: int = BEFORE  # from 0
-
-    @property
-    def numbered(self) -> int | None:
-        """Its number; None: before the first."""
-        return None if self.number == BEFORE else self.number
+    number: int | None = None  # from 0; None: the lines before the first
 
     @property
     def spent(self) -> Spent:
@@ -271,7 +266,7 @@ class Statistics:
             rows = [*((BEFORE, each) for each in before), *((k, self.layers[k]) for k in named)]
         else:  # the lowest key is of lines before any extrusion
             rows = list(enumerate(map(self.layers.__getitem__, heights), BEFORE if _HEIGHT_0 in heights else 0))
-        return [replace(layer, number=number) for number, layer in rows]
+        return [replace(layer, number=None if number == BEFORE else number) for number, layer in rows]
 
     @property
     def unknown_waits(self) -> list[Unknown]:
