@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 
 from ffcomp import shapers
 from ffcomp.comparison.sampling import SETTLE_S, PrintSlice
-from ffcomp.shapers.calibration import Axis, Spectrum, fit, resonance_test_psd
+from ffcomp.shapers.calibration import Axis, fit, resonance_test_psd
 from ffcomp.shapers.search import Optimum, Scan, search
 from ffcomp.shapers.smooth import KERNELS
 from ffcomp.simulation.command import Motion
@@ -89,7 +90,7 @@ class LinearPrinter:
     def __init__(self, plant: Machine, slices: Sequence[PrintSlice]) -> None:
         self._plant, self._middle = effective_machine(plant), np.array(plant.kinematics.centre_mm, dtype=float)
         self._playback = LinearPlayback(self._plant)
-        self._spectra: dict[Axis, Spectrum] = {}
+        self._spectrum = cache(partial(resonance_test_psd, self._plant, self._middle))  # along an axis
         self.pieces = [_piece(each) for each in slices if each.trajectory.end_t > 2 * SETTLE_S]
 
     def contour_rms_um(self, commanded: Callable[[Piece], Commanded]) -> float:
@@ -100,11 +101,6 @@ class LinearPrinter:
         """Return the settings that a firmware's calibration finds in the middle of the bed."""
         frequencies = [fit(shaping.kind, self._spectrum(axis)).frequency_hz for axis in shaping.axes]
         return np.array([*frequencies, shapers.DAMPING_RATIO] if DAMPING in shaping.names else frequencies)
-
-    def _spectrum(self, axis: Axis) -> Spectrum:
-        if axis not in self._spectra:
-            self._spectra[axis] = resonance_test_psd(self._plant, self._middle, axis)
-        return self._spectra[axis]
 
     def cost(self, shaping: Shaping, settings: FloatArray) -> float:
         """Return the contour rms of the shaped print, µm."""

@@ -86,7 +86,8 @@ def compare(
     choice = choose_robust(machine, settings)
     written_method = every.ROBUST if choice.robust else COMPENSATED
     chosen = {*names(only), written_method}
-    progress = Stages(progress, _stages(len(chosen), quality_um))
+    shares = {TUNING: 0.9, PLANNING: 0.25, PRINTING: 0.72} | ({QUALITY: 0.76} if quality_um else {})
+    progress = Stages(progress, shares)
     tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
@@ -137,11 +138,6 @@ def names(only: Sequence[str]) -> Collection[str]:
     if only and not set(only) & {*SHAPER_NAMES}:
         raise RequestError(f"--only: name at least one shaper to compare with: {', '.join(SHAPER_NAMES)}.")
     return {"none", COMPENSATED, *only} if only else every.USUAL_NAMES
-
-
-def _stages(methods: int, quality_um: float) -> dict[str, float]:
-    seconds = {TUNING: 0.9 * methods, PLANNING: 0.25 * methods, PRINTING: 0.72 * methods}
-    return seconds | ({QUALITY: 0.76 * methods} if quality_um else {})
 
 
 # ---- the methods ---------------------------------------------------------------------------------

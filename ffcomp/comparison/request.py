@@ -32,11 +32,6 @@ def parse_layers(text: str) -> Layers:
         raise RequestError(f"--layers {text!r}: two layer numbers with a colon between them, e.g. 10:20.") from None
 
 
-def parse_names(text: str) -> tuple[str, ...]:
-    """Read names with commas between them."""
-    return tuple(filter(None, text.split(",")))
-
-
 @dataclass(frozen=True)
 class CompareRequest(Request):
     """A print on which all methods are compared."""
@@ -81,7 +76,7 @@ class CompareRequest(Request):
             "-z (z shaped too), and each of these with -calibrated; fbs-lti, fbs-robust; all.",
             SPEED,
             metavar="NAMES",
-            parse=parse_names,
+            parse=lambda text: tuple(filter(None, text.split(","))),
             label="Comparison: methods",
         ),
     ] = ()
