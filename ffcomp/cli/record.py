@@ -35,7 +35,7 @@ def join(request: JoinRequest) -> Result:
     not, with the commands of the captures in it: from ffcomp record plan --print, or from your slicer between layers
     (ACCELEROMETER_MEASURE, or M956, and a rest of 0.2 s or more inside, before and after the moves).
 
-    Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml -o runs/
+    Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml --output-dir runs/
     """
     from ffcomp.record.axes import turn_of
     from ffcomp.record.join import join_captures
@@ -48,14 +48,14 @@ def join(request: JoinRequest) -> Result:
     plan = plan_of(request.plan, machine)
     turn = turn_of(request.axes_map)
     result = join_captures(request.captures, plan, machine, turn, report)
-    targets = [request.output / f"{each.name}.csv" for each in result.joined]
+    targets = [request.output_dir / f"{each.name}.csv" for each in result.joined]
     if taken := [path for path in targets if path.exists() and not request.force]:
-        raise RequestError(f"{taken[0]} exists already; give another --output, or --force.")
+        raise RequestError(f"{taken[0]} exists already; give another --output-dir, or --force.")
     if targets:
-        request.output.mkdir(parents=True, exist_ok=True)
+        request.output_dir.mkdir(parents=True, exist_ok=True)
     for each, path in zip(result.joined, targets, strict=True):
         replace_atomically(path, recording_lines(each.recording))
-    return JoinedRuns(result, plan, machine, request.machine, request.output, targets)
+    return JoinedRuns(result, plan, machine, request.machine, request.output_dir, targets)
 
 
 @verb

@@ -27,7 +27,7 @@ CHIP = Option(
     MACHINE,
     metavar="NAME",
 )
-RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, "--output -o", metavar="FOLDER", writes="folder")
+RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, metavar="DIR", writes="folder")
 
 
 def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
@@ -245,7 +245,7 @@ class JoinRequest(Request):
     ]
     plan: Annotated[Path, MOVES_PLAN]
     machine: Annotated[str, MACHINE_NAME]
-    output: Annotated[Path, RUNS_FOLDER]
+    output_dir: Annotated[Path, RUNS_FOLDER]
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     force: Annotated[bool, FORCE] = False
 

@@ -98,7 +98,7 @@ VERBS = [  # in this order: a verb may read what an earlier one wrote
     "restore out.gcode -o again.gcode",
     "record plan --for check -m ender-3 -o check.gcode",
     "simulate check.gcode -m ender-3 --as-captures captures --plan check.json --rate 3200 --flavor klipper",
-    "record join captures/*.csv --plan check.json -m ender-3 -o runs",
+    "record join captures/*.csv --plan check.json -m ender-3 --output-dir runs",
     "record check captures/*.csv --plan check.json -m ender-3",
     "identify update runs/*.csv -m ender-3 -o updated.toml",
     "diagnose push-*.csv -m slide.toml -o better-slide.toml",

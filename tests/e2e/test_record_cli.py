@@ -31,7 +31,7 @@ def test_captures_of_the_virtual_printer_are_joined(flavor: str, tmp_path: Path)
     assert done.exit_code == 0, done.output
     captures = sorted(folder.glob("*.csv"))
     assert len(captures) == 4
-    done = ffcomp("record", "join", *captures, "--plan", plan, "-m", "ender-3", "-o", tmp_path / "runs", "-q")
+    done = ffcomp("record", "join", *captures, "--plan", plan, "-m", "ender-3", "--output-dir", tmp_path / "runs", "-q")
     assert done.exit_code == 0 and "4 of 4 executions joined" in done.output, done.output
 
 

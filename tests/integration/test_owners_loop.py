@@ -28,7 +28,7 @@ def test_captures_of_the_hosts_motion_are_joined_with_their_command(tmp_path: Pa
     _, real = hidden("effector_mass", 5)
     begun = as_captures(tmp_path / "captures", moves, firmware_plan(plan, moves), real)
     captures = [tmp_path / "captures" / name for name in begun]
-    options = ("--plan", plan.with_suffix(".json"), "-o", tmp_path / "runs", *told)
+    options = ("--plan", plan.with_suffix(".json"), "--output-dir", tmp_path / "runs", *told)
     joined = json.loads(call("record", "join", *captures, *options).stdout)
     assert len(joined["runs"]) == len(captures) == len(moves.runs()) and not joined["refused"], joined
     assert worst_offset(joined, begun) < 2e-4

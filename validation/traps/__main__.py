@@ -41,7 +41,7 @@ def joined(trap: Trap, keep: Path) -> Answer:
     captures = write(trap.bench, trap.sensing, folder)
     shutil.rmtree(folder / "runs", ignore_errors=True)
     axes = ["--axes-map", trap.axes_map] if trap.axes_map else []
-    files = ["--plan", folder / "moves.json", "-m", folder / "machine.toml", "-o", folder / "runs"]
+    files = ["--plan", folder / "moves.json", "-m", folder / "machine.toml", "--output-dir", folder / "runs"]
     answer = _called(["record", "join", *captures, *files, *axes, "--json"])
     refusals = [f"{Path(each['file']).name}: {each['why']}" for each in answer.found.get("refused", ())]
     return Answer(answer.found, " ".join([*refusals, answer.text]), answer.code, answer.cpu_s)
