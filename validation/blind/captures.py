@@ -20,7 +20,7 @@ from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Experiment, Plan
 from ffcomp.record.result import recording_lines
-from models.file import load_machine
+from models.file import machine_of_text
 from models.machine import Machine
 from validation.blind.motions import Motion
 from validation.blind.real import FloatArray, Reading, Rng
@@ -43,10 +43,7 @@ def planned_motions(machine_file: str, seed: int, seconds: float) -> tuple[tuple
 
 @lru_cache(maxsize=2)
 def _planned(machine_file: str, seed: int, seconds: float) -> tuple[Machine, Plan]:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "machine.toml"
-        path.write_text(machine_file, encoding="utf-8")
-        machine = load_machine(str(path))
+    machine = machine_of_text(machine_file, "machine.toml")
     middle = np.array(machine.kinematics.centre_mm)
     places = [tuple((middle + at).tolist()) for at in ((0.0, 0.0), (50.0, 20.0), (-40.0, -45.0))]
     request = Request(
@@ -83,7 +80,7 @@ def joined_runs(machine_file: str, readings: Sequence[Reading], seed: int, rng: 
 
 def _capture(chip: Chip, reading: Reading, duration_s: float, plan: Plan, rng: Rng) -> str:
     """Return the text of a capture; some rows are lost."""
-    first = BEFORE_S - plan.rest_before_s + rng.uniform() / chip.rate_hz
-    t = np.arange(first, BEFORE_S + duration_s + plan.rest_after_s, 1 / chip.rate_hz)
-    values, kept = chip.counts(CubicSpline(reading.t, reading.nozzle)(t), rng), rng.random(len(t)) > LOST
+    begin, end = BEFORE_S - plan.rest_before_s, BEFORE_S + duration_s + plan.rest_after_s
+    t, values = chip.sampled(CubicSpline(reading.t, reading.nozzle), begin, end, rng)
+    kept = rng.random(len(t)) > LOST
     return klipper_text(t[kept] + 50.0, 1e3 * values[kept], digits=4)

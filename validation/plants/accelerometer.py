@@ -42,6 +42,13 @@ class Chip:
         own = own + self.noise_m_per_s2 * noise
         return np.rint(own / self.count_m_per_s2) * self.count_m_per_s2
 
+    def sampled(
+        self, felt: CubicSpline, begin_s: float, end_s: float, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Measure what is felt between two times, from some part of a sample on: (n,) s, and `counts` (n, 3)."""
+        t = np.arange(begin_s + rng.uniform() / self.rate_hz, end_s, 1 / self.rate_hz)
+        return t, self.counts(felt(t), rng)
+
 
 def draw_chip(rng: np.random.Generator, axes: FloatArray, tilt_deg: float = 2.0, rate_hz: float = 3200.0) -> Chip:
     """Draw a chip whose rate is within 1 %, tilted by so much about a horizontal axis, on a signed permutation."""
@@ -63,9 +70,8 @@ def klipper_capture(
     felt: CubicSpline, chip: Chip, begin_s: float, end_s: float, print_time_s: float, rng: np.random.Generator
 ) -> str:
     """Text of the capture between two toggles, `begin_s` and `end_s` on the clock of `felt`."""
-    first = begin_s + rng.uniform() / chip.rate_hz
-    t = np.arange(first, end_s, 1 / chip.rate_hz)
-    return klipper_text(t - begin_s + print_time_s, 1e3 * chip.counts(felt(t), rng))
+    t, values = chip.sampled(felt, begin_s, end_s, rng)
+    return klipper_text(t - begin_s + print_time_s, 1e3 * values)
 
 
 def klipper_text(time_s: FloatArray, mm_per_s2: FloatArray, digits: int = 6) -> str:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.cli import ffcomp
-from validation.traps.bench import write
-from validation.traps.catalogue import TRAPS, Trap
+from validation.traps.bench import Trap, write
+from validation.traps.catalogue import TRAPS
 
 PROGRESS = ("ffcomp: reading", "ffcomp: joining")
 
@@ -38,7 +38,7 @@ class Answer:
 def joined(trap: Trap, keep: Path) -> Answer:
     """Write the captures of a trap and join them: `found` is ffcomp-join/1."""
     folder = keep / trap.name
-    captures = write(trap.bench, trap.sensing, folder)
+    captures = write(trap, folder)
     shutil.rmtree(folder / "runs", ignore_errors=True)
     axes = ["--axes-map", trap.axes_map] if trap.axes_map else []
     files = ["--plan", folder / "moves.json", "-m", folder / "machine.toml", "--output-dir", folder / "runs"]

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Experiment, Plan, save_plan
-from models.file import load_machine
+from models.file import machine_of_text
 from validation.blind.captures import BEFORE_S, TURNS, around
 from validation.blind.delta import draw_machine, file_of, played
 from validation.blind.real import FloatArray, Real, Tables, toml_of
@@ -25,7 +25,6 @@ from validation.plants.accelerometer import Chip, draw_chip, klipper_text
 PRINTER_SEED = 6
 AT_MM = ((0.0, 0.0), (55.0, 20.0), (-40.0, -50.0))
 MADE = ("ffcomp-zigzag-0", "ffcomp-reversals-1", "ffcomp-multisine-2")
-CHIP = "adxl345"
 RATE_HZ = 1600.0
 
 
@@ -51,119 +50,109 @@ class Taken:
     time_s: FloatArray  # (n,)
     values: FloatArray  # (n, 3) m/s², the chip's axes
     comments: str = ""
-    text: str = ""  # of the file
-
-    @property
-    def name(self) -> str:
-        return f"{self.chip}-{self.run.experiment}-{self.run.repeat}.csv"
+    text: str = ""  # of the file, if it is not Klipper's
 
     def by_klipper(self, print_time_s: float = 55.0) -> str:
         """Return the capture as Klipper writes it."""
         return self.comments + klipper_text(self.time_s + print_time_s, 1e3 * self.values)
 
-    def by_phone(self) -> str:
-        """Return the capture as an app writes it: its own time, m/s²."""
-        axes = ",".join(f"Acceleration {axis} (m/s^2)" for axis in "xyz")
-        _, _, rows = klipper_text(self.time_s - self.time_s[0], self.values).partition("\n")
-        return f"Time (s),{axes}\n{rows}"
-
 
 Nozzle: TypeAlias = Callable[[FloatArray], FloatArray]  # (n,) s → (n, 3) mm
-Moved: TypeAlias = Callable[[Experiment], Nozzle]
 Spoiled: TypeAlias = Callable[[Real, int], Real]  # the printer in a run, by the run's place in the file
+Moved: TypeAlias = Callable[[Experiment], Nozzle]
 Feels: TypeAlias = Callable[[FloatArray, FloatArray, Run], FloatArray]  # (n,) s, (n, 3) m/s² without gravity, run
 Writes: TypeAlias = Callable[[Taken, list[Taken]], Taken]  # one capture, and all of them
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """A recording: the printer, its file, and the moves."""
+@dataclass(frozen=True)
+class Said:
+    """Allowed, required and forbidden statements; patterns are searched in the answer's text, in any case."""
 
+    verdicts: tuple[str, ...] = ("effects", "none", "unknown")
+    refused: bool = False  # the recordings may be refused (exit code 5); then `must` is searched in the refusal
+    names: tuple[str, ...] | None = None  # effects that may be named; None: any
+    must: tuple[str, ...] = ()
+    must_not: tuple[str, ...] = ()
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # effect.key → where its interval reaches
+    file: bool | None = None  # whether a better file may be written; None: either
+
+
+@dataclass(frozen=True, eq=False)
+class Trap:
+    """What goes wrong in a recording, and what an answer may say."""
+
+    name: str
+    about: str
+    said: Said
     printer: Spoiled = lambda real, _: real
-    by_run: bool = False  # whether it is another in every run
+    by_run: bool = False  # whether the printer is another in every run
     moved: Moved = lambda experiment: experiment.motion.nozzle
     file: Mapping[str, float] = field(default_factory=dict)  # table.key → the file's number over the true one
     firmware: Mapping[str, float] = field(default_factory=dict)  # the same, of the file and of the firmware
-
-
-USUAL = Bench()
-
-
-@dataclass(frozen=True)
-class Sensing:
-    """What the chips make of it, and how it is written."""
-
-    chips: Mapping[str, tuple[Feels, ...]] = field(default_factory=lambda: {CHIP: ()})
+    feels: Feels = lambda t, felt, run: felt
+    second: Feels | None = None  # what a second chip feels, if there is one
     chip: Callable[[Chip, Run], Chip] = lambda chip, _: chip
-    files: tuple[Writes, ...] = ()
+    written: Writes = lambda capture, _: capture
     seed_of_plan: int = 1  # of the plan that is given with the captures
+    axes_map: str | None = None
 
 
-def printer_of(bench: Bench) -> tuple[Tables, str]:
-    """Return the true printer, and its file's text."""
+def tables_of(trap: Trap | None) -> tuple[Tables, Tables]:
+    """Return the true printer, and its owner's file."""
     true = draw_machine(np.random.default_rng(PRINTER_SEED))
     file = file_of(true, 0.02, np.random.default_rng(4))
-    for key, factor in [*bench.file.items(), *bench.firmware.items()]:
+    for key, factor in [*trap.file.items(), *trap.firmware.items()] if trap else ():
         table, _, name = key.partition(".")
         file[table][name] *= factor
-    return true, toml_of(file, "the owner's printer")
+    return true, file
 
 
-def plan_for(machine_file: Path, seed: int = 1) -> Plan:
-    """Return three motions at three places, each made twice."""
-    made = make_plan(load_machine(str(machine_file)), Request(places_mm=AT_MM, seconds=2.0, seed=seed))
+@cache
+def plan_for(seed: int) -> Plan:
+    """Return three motions at three places, each made twice; whatever is wrong with a trap's file."""
+    usual = machine_of_text(toml_of(tables_of(None)[1], "the owner's printer"), "machine.toml")
+    made = make_plan(usual, Request(places_mm=AT_MM, seconds=2.0, seed=seed))
     return replace(made, experiments=tuple(each for each in made.experiments if each.name in MADE))
 
 
-def recorded(bench: Bench, sensing: Sensing, plan: Plan) -> list[Taken]:
+def recorded(trap: Trap, plan: Plan) -> list[Taken]:
     """Make every execution, and record it by every chip."""
     taken, rng = [], np.random.default_rng([1, 31])
-    chips = {name: draw_chip(rng, TURNS[1], rate_hz=RATE_HZ) for name in sensing.chips}
+    feels = {"adxl345": trap.feels} | ({"hotend": trap.second} if trap.second else {})
+    chips = {name: draw_chip(rng, TURNS[1], rate_hz=RATE_HZ) for name in feels}
     for index, (experiment, repeat) in enumerate(plan.runs()):
-        run = Run(experiment.name, repeat, index)
-        for name, feels in sensing.chips.items():
-            t, felt = _felt(bench, experiment, index if bench.by_run else 0)
-            for each in feels:
-                felt = each(t, felt, run)
-            chip = sensing.chip(chips[name], run)
-            first = -plan.rest_before_s + rng.uniform() / chip.rate_hz
-            rows = np.arange(first, experiment.duration_s + plan.rest_after_s, 1 / chip.rate_hz)
-            taken.append(Taken(run, name, rows, chip.counts(CubicSpline(t, felt)(rows), rng)))
+        run, firmware = Run(experiment.name, repeat, index), tuple(trap.firmware.items())
+        t, felt = _felt(trap.printer, trap.moved, firmware, experiment, index if trap.by_run else 0)
+        for name, change in feels.items():
+            chip, there = trap.chip(chips[name], run), CubicSpline(t, change(t, felt, run))
+            rows = chip.sampled(there, -plan.rest_before_s, experiment.duration_s + plan.rest_after_s, rng)
+            taken.append(Taken(run, name, *rows))
     return taken
 
 
 @cache
-def _felt(bench: Bench, experiment: Experiment, index: int) -> tuple[FloatArray, FloatArray]:
+def _felt(
+    printer: Spoiled, moved: Moved, numbers: tuple[tuple[str, float], ...], experiment: Experiment, index: int
+) -> tuple[FloatArray, FloatArray]:
     """What the nozzle holder feels, (n, 3) m/s² at (n,) s from the beginning of the motion."""
-    true, _ = printer_of(bench)
+    true, _ = tables_of(None)
     firmware = dict(true["kinematics"])
-    for key, factor in bench.firmware.items():
+    for key, factor in numbers:
         firmware[key.partition(".")[2]] *= factor
-    reading = played(bench.printer(Real(true), index), firmware, around(experiment, bench.moved(experiment)))
+    reading = played(printer(Real(true), index), firmware, around(experiment, moved(experiment)))
     return reading.t - BEFORE_S, reading.nozzle
 
 
-@cache
-def _plan(folder: Path, seed: int) -> Plan:
-    """The plan does not depend on what is wrong with a trap's file."""
-    usual = folder / "planned.toml"
-    usual.write_text(printer_of(USUAL)[1], encoding="utf-8")
-    return plan_for(usual, seed)
-
-
-def write(bench: Bench, sensing: Sensing, folder: Path) -> list[Path]:
+def write(trap: Trap, folder: Path) -> list[Path]:
     """Write machine.toml, moves.json and the captures, spoiled; return the captures."""
     (folder / "captures").mkdir(parents=True, exist_ok=True)
     for old in (folder / "captures").iterdir():
         old.unlink()
-    (folder / "machine.toml").write_text(printer_of(bench)[1], encoding="utf-8")
-    save_plan(_plan(folder.parent, sensing.seed_of_plan), folder / "moves.json")
-    taken = recorded(bench, sensing, _plan(folder.parent, 1))
-    for spoil in sensing.files:
-        taken = [spoil(each, taken) for each in taken]
-    paths = []
-    for each in taken:
-        path = folder / "captures" / each.name
+    (folder / "machine.toml").write_text(toml_of(tables_of(trap)[1], "the owner's printer"), encoding="utf-8")
+    save_plan(plan_for(trap.seed_of_plan), folder / "moves.json")
+    taken, paths = recorded(trap, plan_for(1)), []
+    for each in [trap.written(each, taken) for each in taken]:
+        path = folder / "captures" / f"{each.chip}-{each.run.experiment}-{each.run.repeat}.csv"
         path.write_text(each.text or each.by_klipper(55.0 + 10.0 * each.run.index), encoding="utf-8")
         paths.append(path)
     return sorted(paths)
