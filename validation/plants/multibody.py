@@ -7,10 +7,9 @@ the motor does is a force k u + c u̇ on the carriage, u and u̇ from the drive'
 
     arms "lumped"   each rod's mass sits in two points, half at each end
     arms "uniform"  each rod is a thin uniform rod
-    effector "sliding"        translates only, one rod a tower
-    effector "parallelograms" free in all six, held by two rods a tower; its centre of mass is where the file says
 
-A model is built at a place: in its reference pose the printer stands there and all springs are at ease. m, s, kg.
+The effector is free in all six directions, held by two rods a tower; its centre of mass is where the file says. A model
+is built at a place: in its reference pose the printer stands there and all springs are at ease. m, s, kg.
 
 MuJoCo's constraints give way: with impedance d and time constant T, an error r of a constraint obeys
 r̈ + 2ṙ/T + r/T² = (1 − d) (what r̈ were without it) for d near 1 (MuJoCo documentation, "Computation").
@@ -19,7 +18,6 @@ r̈ + 2ṙ/T + r/T² = (1 − d) (what r̈ were without it) for d near 1 (MuJoCo
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import mujoco
@@ -27,6 +25,7 @@ import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
 from scipy.signal import StateSpace, lsim
 
 from models.kinds import delta_vibration
@@ -43,38 +42,26 @@ ROD_RADIUS_M = 3e-3  # decides a rod's inertia about its own axis, about which n
 HALF_PAIR_M = 0.025  # between the two rods of a parallelogram, halved; no answer depends on it
 EFFECTOR_GYRATION_M = 0.03  # radius of gyration; no answer depends on it
 LIGHT = "1e-4 1e-4 1e-4"  # kg m², of bodies that never turn
-NUDGE_M = 1e-6
-SETTLED_M = 1e-12
+MOST_M_PER_S2 = 1e-6  # acceleration of a printer that is said to be at rest
 
 Arms = Literal["lumped", "uniform"]
 AT_ENDS: Mapping[Arms, float] = {"lumped": 1.0, "uniform": 0.0}  # of a rod's mass
-Effector = Literal["sliding", "parallelograms"]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What is built."""
-
-    arms: Arms = "lumped"
-    effector: Effector = "sliding"
-    gravity: bool = False
 
 
 # ---- the machine's parts as MuJoCo reads them ----------------------------------------------------
 
 
-def _document(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[str]:
-    gravity = GRAVITY_M_PER_S2 if choice.gravity else 0.0
+def _document(machine: Machine, home: FloatArray, home_q: FloatArray, arms: Arms) -> Iterator[str]:
     solref = f"{TIGHT_STEPS * STEP_S!r} 1"
     solimp = f"{IMPEDANCE} {IMPEDANCE} 1"
     yield "<mujoco><compiler angle='radian' autolimits='false'/>"
-    yield f"<option timestep='{STEP_S!r}' gravity='0 0 {-gravity}' integrator='RK4' solver='Newton'"
+    yield f"<option timestep='{STEP_S!r}' gravity='0 0 {-GRAVITY_M_PER_S2}' integrator='RK4' solver='Newton'"
     yield "tolerance='1e-15'><flag contact='disable' energy='enable'/></option>"
     yield f"<default><equality solref='{solref}' solimp='{solimp}'/></default><worldbody>"
-    joints = list(_joints(machine, home, home_q, choice))
+    joints = list(_joints(machine, home, home_q))
     for tower in "ABC":
-        yield from _carriage(machine, tower, [j for j in joints if j.tower == tower], choice)
-    yield from _effector(machine, home, joints, choice)
+        yield from _carriage(machine, tower, [j for j in joints if j.tower == tower], arms)
+    yield from _effector(machine, home, joints)
     yield "</worldbody><equality>"
     yield from (f"<connect site1='low_{j.name}' site2='seat_{j.name}'/>" for j in joints)
     yield "</equality>"
@@ -94,21 +81,20 @@ class Rod(NamedTuple):
     seat: FloatArray  # the lower joint seen from the nozzle tip
 
 
-def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[Rod]:
+def _joints(machine: Machine, home: FloatArray, home_q: FloatArray) -> Iterator[Rod]:
     own = delta_vibration(machine)
     geometry, ring = own.kinematics, own.effector.joint_radius_mm / 1e3
-    aside = (-HALF_PAIR_M, HALF_PAIR_M) if choice.effector == "parallelograms" else (0.0,)
-    mass, up = own.carriage.arm_pair_mass_kg / len(aside), np.array([0.0, 0.0, 1.0])
+    mass, up = own.carriage.arm_pair_mass_kg / 2, np.array([0.0, 0.0, 1.0])
     parts = zip("ABC", geometry.tower_angles_rad, geometry.delta_radii_mm / 1e3, home_q, strict=True)
     for tower, angle, radius, height in parts:
         outward, tangent = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
-        for n, offset in enumerate(aside):
+        for n, offset in enumerate((-HALF_PAIR_M, HALF_PAIR_M)):
             joint = ring * outward + offset * tangent
             seat = joint + geometry.effector_height_mm / 1e3 * up
             yield Rod(tower, f"{tower}{n}", mass, joint + radius * outward + height * up, home + seat, seat)
 
 
-def _carriage(machine: Machine, tower: str, rods: list[Rod], choice: Choice) -> Iterator[str]:
+def _carriage(machine: Machine, tower: str, rods: list[Rod], arms: Arms) -> Iterator[str]:
     carriage = delta_vibration(machine).carriage
     damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
     axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping)
@@ -116,15 +102,14 @@ def _carriage(machine: Machine, tower: str, rods: list[Rod], choice: Choice) -> 
     yield f"<body name='carriage_{tower}' pos='{_row(middle)}'>{axis}"
     yield _mass(carriage.mass_kg)
     for rod in rods:
-        yield from _rod(rod, middle, choice)
+        yield from _rod(rod, middle, AT_ENDS[arms])
     yield "</body>"
 
 
-def _rod(rod: Rod, carriage: FloatArray, choice: Choice) -> Iterator[str]:
+def _rod(rod: Rod, carriage: FloatArray, at_ends: float) -> Iterator[str]:
     """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, m L²/4 of what is at the ends."""
     along = rod.lower - rod.upper
     length = float(np.linalg.norm(along))
-    at_ends = AT_ENDS[choice.arms]
     across = rod.mass_kg * length**2 * (at_ends / 4 + (1 - at_ends) / 12)
     inertia = _row(np.array([across, across, rod.mass_kg * ROD_RADIUS_M**2 / 2]))
     yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
@@ -132,17 +117,13 @@ def _rod(rod: Rod, carriage: FloatArray, choice: Choice) -> Iterator[str]:
     yield f"<site name='low_{rod.name}' pos='0 0 {length!r}'/></body>"
 
 
-def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choice) -> Iterator[str]:
+def _effector(machine: Machine, home: FloatArray, rods: list[Rod]) -> Iterator[str]:
     """The nozzle holder, its origin at the nozzle tip, and the extruder on its mount at the centre of mass."""
     own = delta_vibration(machine)
     effector, plane = own.effector, np.array([0.0, 0.0, own.kinematics.effector_height_mm / 1e3])
     centre = _row(plane + effector.center_of_mass_mm / 1e3)
     inertia = _row(np.full(3, effector.nozzle_mass_kg * EFFECTOR_GYRATION_M**2))
-    yield f"<body name='effector' pos='{_row(home)}'>"
-    if choice.effector == "parallelograms":
-        yield "<freejoint/>"
-    else:
-        yield from (_sprung(axis, axis, 0.0, 0.0) for axis in "xyz")
+    yield f"<body name='effector' pos='{_row(home)}'><freejoint/>"
     yield f"<inertial pos='{centre}' mass='{effector.nozzle_mass_kg}' diaginertia='{inertia}'/>"
     yield from (f"<site name='seat_{rod.name}' pos='{_row(rod.seat)}'/>" for rod in rods)
     yield f"<body name='extruder' pos='{centre}'>"
@@ -168,43 +149,29 @@ def _row(values: FloatArray) -> str:
 
 
 def _at_rest(model: Any) -> Any:
-    """MuJoCo's data with all forces in balance, by Newton's method."""
+    """MuJoCo's data with all forces in balance."""
     data = mujoco.MjData(model)
-    for _ in range(20):
-        unbalanced = _acceleration(model, data)
-        step = np.linalg.lstsq(_by_position(model, data), -unbalanced, rcond=1e-12)[0]
-        mujoco.mj_integratePos(model, data.qpos, step, 1.0)
-        if np.max(np.abs(step)) < SETTLED_M:
-            return data
-    raise ValueError(f"The printer finds no rest: it still moves by {step} (m, rad).")
+    home = data.qpos.copy()
 
+    def acceleration(moved: FloatArray) -> FloatArray:
+        data.qpos[:] = home
+        mujoco.mj_integratePos(model, data.qpos, moved, 1.0)
+        mujoco.mj_forward(model, data)
+        return np.array(data.qacc)
 
-def _by_position(model: Any, data: Any) -> FloatArray:
-    """∂q̈/∂q : (nv, nv)"""
-    columns, home = np.empty((model.nv, model.nv)), data.qpos.copy()
-    for i, direction in enumerate(np.eye(model.nv)):
-        sides = []
-        for way in (NUDGE_M, -NUDGE_M):
-            data.qpos[:] = home
-            mujoco.mj_integratePos(model, data.qpos, direction, way)
-            sides.append(_acceleration(model, data))
-        columns[:, i] = (sides[0] - sides[1]) / (2 * NUDGE_M)
-    data.qpos[:] = home
-    return columns
-
-
-def _acceleration(model: Any, data: Any) -> FloatArray:
-    mujoco.mj_forward(model, data)
-    return np.array(data.qacc)
+    found = least_squares(acceleration, np.zeros(model.nv), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    if np.max(np.abs(acceleration(found.x))) > MOST_M_PER_S2:
+        raise ValueError(f"The printer finds no rest: it is accelerated by {found.fun} (m/s², rad/s²).")
+    return data
 
 
 # ---- motion --------------------------------------------------------------------------------------
 
 
 def play(
-    machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: float, choice: Choice
+    machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: float, arms: Arms
 ) -> tuple[FloatArray, FloatArray]:
-    """Play a command from rest, as `simulate_printer` does: nozzle and carriages, (n + 1, 3) mm, at each step.
+    """Play a command from rest under the weight, as `simulate_printer` does: nozzle and carriages, (n + 1, 3) mm.
 
     Parameters
     ----------
@@ -215,7 +182,7 @@ def play(
     away = home[:2] - geometry.towers_mm / 1e3
     heights = home[2] + geometry.effector_height_mm / 1e3
     home_q = heights + np.sqrt((geometry.arm_lengths_mm / 1e3) ** 2 - np.sum(away**2, axis=1))
-    model = mujoco.MjModel.from_xml_string("\n".join(_document(machine, home, home_q, choice)))
+    model = mujoco.MjModel.from_xml_string("\n".join(_document(machine, home, home_q, arms)))
     data = _at_rest(model)
     start = np.concatenate([[0.0], data.qpos, data.qvel])
     force = _motor_force(machine, command_mm / 1e3 - home_q, dt_s)
