@@ -24,8 +24,7 @@ from models.arrays import FloatArray
 from validation.blind.effects import Rng
 from validation.blind.real import toml_of
 from validation.plants.forced_axis import AT_REST, AXIS, LOOP, SERVO, follow
-from validation.plants.shapes import TANH
-from validation.plants.straight_plant import record_of
+from validation.plants.shapes import TANH, record_of
 
 STEP_S, SECONDS, RUNS = 1 / 16000, 10.0, ("fit-a", "fit-b", "test-c")
 DRY = ("coulomb_friction", "stribeck_friction", "bristle_friction")

@@ -36,14 +36,27 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from validation.plants import shapes
-from validation.plants.shapes import BELTS, DAHL, GUIDES, SHAPED, TANH, belt, bent, driven, guide, rippled, slid
+from validation.plants.shapes import (
+    BELTS,
+    DAHL,
+    GUIDES,
+    SHAPED,
+    TANH,
+    belt,
+    bent,
+    driven,
+    guide,
+    record_of,
+    rippled,
+    slid,
+)
 
 FloatArray = NDArray[np.float64]
 
 GRAVITY_M_PER_S2 = 9.80665
 CHUNK_STEPS = 40_000
 CREEP_M_PER_S, STRIBECK_M_PER_S = 1e-3, 5e-3  # v_0 and v_s of the friction of `towers`
-# where the parts of a state begin; those from SWAY on only where PLANT's `more` is set, bristles last
+# where the parts of a state begin; bristles last
 X, V, ETA, ETA_V, U, UV, SWAY, SWAYV, CABLE, CABLEV, MOUNT, ARM = 0, 3, 6, 9, 12, 15, 18, 20, 22, 24, 26, 28
 ROTOR, ROTORV, BRISTLE, STATES = 31, 34, 37, 43
 MOTORS = (ROTOR, ROTORV, MOUNT, ARM)
@@ -66,7 +79,6 @@ PLANT = np.dtype(
         *((name, "f8") for name in SHAPED.split()),
         ("dry_kind", "i8"),  # friction of the guides: 0 none, else of `shapes`
         ("soft_motor", "i8"),  # whose bracket gives way; -1 for none
-        ("more", "?"),  # some of what follows is there
         ("joint", "f8"),  # N, friction of the joints
         ("joint_bristle", "f8"),  # m
         ("sway_dir", "f8", (2, 2)),  # of the frame
@@ -82,7 +94,6 @@ PLANT = np.dtype(
 )
 Plant: TypeAlias = np.record
 Work: TypeAlias = tuple[FloatArray, ...]  # Ẍ and d̈ (5,), q, q̇, a, f (3,), the system (5, 5), A and Γ (3, 3)
-MORE = ("rotor", "sway_dir", "cable_k", "visco_k")
 NEUTRAL: Mapping[str, Any] = {
     **shapes.NEUTRAL,
     **{"joint_bristle": 1e-5, "sway_mass": 1.0, "cable_mass": 1.0},
@@ -130,12 +141,7 @@ def plant_of(machine: Mapping[str, Any], *, gravity: bool = False, hidden: Mappi
         surplus = friction * towers.get("stiction", 0.0)
         numbers |= {"dry_kind": TANH, "dry": friction, "stick": surplus}
         numbers |= {"dry_v": CREEP_M_PER_S, "stick_v": STRIBECK_M_PER_S, "stick_power": 2.0}
-    numbers |= hidden or {}
-    numbers["more"] = numbers["soft_motor"] >= 0 or any(np.any(numbers.get(name, 0.0)) for name in MORE)
-    record = np.zeros(1, dtype=PLANT)
-    for name, value in numbers.items():
-        record[name][0] = value
-    return record.view(np.recarray)[0]
+    return record_of(PLANT, {**numbers, **(hidden or {})})
 
 
 def paper_shares(effector: Mapping[str, Any], tower_angles_deg: ArrayLike) -> FloatArray:
@@ -271,31 +277,24 @@ def _rate(
     _load_shares(a, p, gamma)
     for j in range(3):
         f[j] = p.joint * z[3 + j] - _mount(y, j, p)
-    f[2] += p.holder * p.gravity
-    if p.more:
-        for j in range(2):
+        if j < 2:
             f[j] -= p.cable_k * y[CABLE + j] + p.cable_b * y[CABLEV + j]
+    f[2] += p.holder * p.gravity
     for i in range(3):
         u, du, dy[UV + i] = _motor(y, ud, dud, i, p)
         dy[U + i] = y[UV + i]
-        if p.more:
-            pull = driven(y, t, u, du, ud[i], q[i], dq[i], i, MOTORS, p, dy)
-        else:
-            pull = belt(u - q[i], du - dq[i], q[i], ud[i], 0.0, t, i, p)
+        pull = driven(y, t, u, du, ud[i], q[i], dq[i], i, MOTORS, p, dy)
         r[i] = pull - guide(dq[i], q[i], z[i], i, p) - p.carriage[i] * (p.gravity + bend[i])
         for j in range(3):
             m[i, j] = p.carriage[i] * a[i, j] + p.holder * gamma[i, j]
             r[i] -= gamma[i, j] * f[j]
     if p.rods != 0.0:
         _rods(p.rods, a, gamma, bend, m, r)
-    if p.more:
-        _frame(y, p, gamma, f, m, r)
-        _eliminate(m, r)
-    else:
-        _eliminate(m[:3, :3], r[:3])
+    _frame(y, p, gamma, f, m, r)
+    _eliminate(m, r)
     for j in range(3):
         felt = r[j]
-        if p.more and j < 2:
+        if j < 2:
             felt += r[3] * p.sway_dir[0, j] + r[4] * p.sway_dir[1, j]
             hang = p.cable_k * y[CABLE + j] + p.cable_b * y[CABLEV + j]
             dy[CABLE + j], dy[CABLEV + j] = y[CABLEV + j], -felt - hang / p.cable_mass
@@ -340,7 +339,7 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, y: FloatAr
     command, speed : (2 n + 1, 3) m, m/s at half steps. Returns (n // every + 1, 4, 3): positions of carriages and
     nozzle, then their accelerations, the nozzle's against the ground.
     """
-    steps, size = (len(command) - 1) // 2, BRISTLE if p.more else SWAY
+    steps = (len(command) - 1) // 2
     out = np.empty((steps // every + 1, 4, 3))
     acc, q, dq, bend, f = np.zeros(5), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     a = np.zeros((3, 3))
@@ -356,24 +355,23 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, y: FloatAr
             for i in range(3):
                 kept[0, i], kept[1, i], kept[3, i] = q[i], y[X + i], acc[i]
                 kept[2, i] = a[i, 0] * acc[0] + a[i, 1] * acc[1] + acc[2] + bend[i]
-            if p.more:
-                for j in range(2):
-                    kept[3, j] += p.sway_dir[0, j] * acc[3] + p.sway_dir[1, j] * acc[4]
+            for j in range(2):
+                kept[3, j] += p.sway_dir[0, j] * acc[3] + p.sway_dir[1, j] * acc[4]
         if n == steps:
             break
-        for j in range(size):
+        for j in range(BRISTLE):
             mid[j] = y[j] + h / 2 * k1[j]
         if bristly:
             _bristles(mid, z, h / 2, p, w, half)
             _bristles(mid, z, h, p, w, full)
         _rate(mid, t + h / 2, command[b + 1], speed[b + 1], p, w, k2, half)
-        for j in range(size):
+        for j in range(BRISTLE):
             mid[j] = y[j] + h / 2 * k2[j]
         _rate(mid, t + h / 2, command[b + 1], speed[b + 1], p, w, k3, half)
-        for j in range(size):
+        for j in range(BRISTLE):
             mid[j] = y[j] + h * k3[j]
         _rate(mid, t + h, command[b + 2], speed[b + 2], p, w, k4, full)
-        for j in range(size):
+        for j in range(BRISTLE):
             y[j] += h / 6 * (k1[j] + 2 * k2[j] + 2 * k3[j] + k4[j])
         z[:] = full
     y[BRISTLE:] = z

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from validation.plants.shapes import DAHL, belt, bent, guide
-from validation.plants.straight_plant import NEUTRAL, PRINTER, SLIDES_M_PER_S, Array, record_of
+from validation.plants.shapes import DAHL, belt, bent, guide, record_of
+from validation.plants.straight_plant import NEUTRAL, PRINTER, SLIDES_M_PER_S, Array
 
 Q, V, END, ENDV, CABLE, CABLEV, LOOSE, STATES = 0, 1, 2, 3, 4, 5, 6, 7
 TURNS_M_PER_S = 2e-3  # below which a direction is not quite one

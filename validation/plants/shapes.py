@@ -40,6 +40,14 @@ NEUTRAL: Mapping[str, Any] = {
 }
 
 
+def record_of(fields: np.dtype[Any], numbers: Mapping[str, Any]) -> Any:
+    """Return numbers as one record, as compiled code wants them."""
+    record = np.zeros(1, dtype=fields)
+    for name, value in numbers.items():
+        record[name][0] = value
+    return record.view(np.recarray)[0]
+
+
 @njit(cache=True, error_model="numpy")
 def soft_play(s: float, width: float, flank: float) -> tuple[float, float]:
     """Stretch beyond the play, and its slope: two soft ramps in place of two corners."""

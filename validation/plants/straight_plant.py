@@ -30,7 +30,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from validation.plants import shapes
-from validation.plants.shapes import BELTS, DAHL, GUIDES, LUGRE, SHAPED, bent, driven, guide, rippled
+from validation.plants.shapes import BELTS, DAHL, GUIDES, LUGRE, SHAPED, bent, driven, guide, record_of, rippled
 
 Array = NDArray[np.float64]
 
@@ -73,14 +73,6 @@ def printer_of(machine: Mapping[str, Any], hidden: Mapping[str, Any]) -> Any:
     """Return the tables of a hidden printer as numbers, with fields of PRINTER set by what is hidden."""
     turn = turn_of(machine["kinematics"]["type"])
     return record_of(PRINTER, {**NEUTRAL, **machine["plant"], "turn": turn, **hidden})
-
-
-def record_of(fields: np.dtype[Any], numbers: Mapping[str, Any]) -> Any:
-    """Return numbers as one record, as compiled code wants them."""
-    record = np.zeros(1, dtype=fields)
-    for name, value in numbers.items():
-        record[name][0] = value
-    return record.view(np.recarray)[0]
 
 
 def modes_of(plant: Mapping[str, Any], turn: Array, axis: int) -> dict[str, list[float]]:
