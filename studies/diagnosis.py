@@ -30,7 +30,7 @@ from typing import Any
 import joblib
 import numpy as np
 
-from ffcomp.api.measurements import diagnose, gap
+from ffcomp.api.measurements import diagnose
 from ffcomp.errors import FfcompError
 from studies.diagnosis_rivals import rivals
 from studies.diagnosis_tables import results
@@ -55,8 +55,7 @@ LONGEST_S = 600  # of CPU: of the answer, and of its rivals
 def main() -> None:
     """Make, ask, open, and write the page."""
     if sys.argv[1:2] == ["--case"]:
-        folder, out, *fresh = map(Path, sys.argv[2:])
-        return case(folder, out, fresh)
+        return case(*map(Path, sys.argv[2:]))
     options = _options()
     bank = Path(options.resume)
     cases = full_bank(options.cases, options.seed, options.machines)
@@ -64,10 +63,8 @@ def main() -> None:
     if not options.render:
         over(options, lambda name: one(bank, name, *cases[name], options.seconds), cases)
     done = [name for name in cases if answered(bank, name)]
-    judged = [
-        score.Judged(name, label, _read(verdict_path(bank, name)), _read(_proof_path(bank, name)))
-        for name, label in open_labels(bank, done).items()
-    ]
+    labels = open_labels(bank, done)
+    judged = [score.Judged(name, label, _read(verdict_path(bank, name))) for name, label in labels.items()]
     if options.earlier:
         save("diagnosis", {"earlier": with_earlier(results(judged, options))})
         return
@@ -139,17 +136,8 @@ def answered(bank: Path, name: str) -> bool:
 
 def asked(bank: Path, name: str) -> None:
     """Let a process of its own answer, and write that it did not."""
-    fresh = sorted((bank / "sealed" / name / "fresh").glob("*.csv"))
-    out = bank / "verdicts" / name
-    command = [
-        sys.executable,
-        "-m",
-        "studies.diagnosis",
-        "--case",
-        str(bank / "cases" / name),
-        str(out),
-        *map(str, fresh),
-    ]
+    folder, out = bank / "cases" / name, bank / "verdicts" / name
+    command = [sys.executable, "-m", "studies.diagnosis", "--case", str(folder), str(out)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     answer = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False)
     why = f"exit {answer.returncode}: {answer.stderr[-800:]}"
@@ -157,8 +145,6 @@ def asked(bank: Path, name: str) -> None:
         why = f"no answer within {LONGEST_S:.0f} s of CPU"
     if not verdict_path(bank, name).exists():
         _write(verdict_path(bank, name), {"verdict": score.FAILED, "why": why})
-    if not _proof_path(bank, name).exists():
-        _write(_proof_path(bank, name), {})
 
 
 def commit() -> str:
@@ -167,10 +153,6 @@ def commit() -> str:
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT, check=True
     )
     return answer.stdout.strip()
-
-
-def _proof_path(bank: Path, name: str) -> Path:
-    return bank / "verdicts" / f"{name}-proof.json"
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -187,11 +169,11 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 # ---- one case, in a process of its own -----------------------------------------------------------
 
 
-def case(folder: Path, out: Path, fresh: Sequence[Path]) -> None:
+def case(folder: Path, out: Path) -> None:
     """Ask for the verdict of one sealed case and those of the rivals; nothing here reads a label.
 
     folder : with machine.toml and runs/
-    out : OUT.json gets the verdict, OUT.toml the better machine file, OUT-proof.json the gap on fresh runs
+    out : OUT.json gets the verdict, OUT.toml the better machine file
     """
     resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S + 10))
     runs, better = sorted((folder / "runs").glob("*.csv")), out.with_suffix(".toml")
@@ -204,11 +186,6 @@ def case(folder: Path, out: Path, fresh: Sequence[Path]) -> None:
     took = time.process_time() - began
     others = rivals_of(found.search)
     beside = time.process_time() - began - took
-    proof = {}
-    if better.exists():
-        before, after = (gap(fresh, file).residual.total for file in (folder / "machine.toml", better))
-        proof = {"before": before.nrms, "after": after.nrms, "noise": before.noise_nrms}
-    _write(out.parent / f"{out.stem}-proof.json", proof)
     tried = [{"effects": list(h.names), "evidence": h.fit.evidence, "left": h.discrepancy} for h in found.search.tried]
     _write(
         out.with_suffix(".json"),

@@ -40,7 +40,6 @@ def results(judged: Sequence[Judged], options: argparse.Namespace) -> dict[str, 
         "late": late_of(judged),
         "rests": rests_of([j for j in judged if j.label.rest and j.label.visible]),
         "sets": asdict(sets(judged)),
-        "shrink": shrink_of(score.shrink(judged)),
         "methods": [compared(name, everyone[method]) for method, name in METHODS.items()],
         "strata": [stratum(everyone, *each) for each in _strata(judged)],
         "power": [
@@ -127,19 +126,6 @@ def compared(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
         "rates": [rate_of(rate) for rate in told],
         "hits": hits,
         "interval": score.wilson(hits, len(judged)),
-    }
-
-
-def shrink_of(left: Sequence[float]) -> dict[str, Any] | None:
-    """Return what is left of the gap on fresh runs, or None if nothing was measured."""
-    if not left:
-        return None
-    median = float(np.median(left))
-    return {
-        "count": len(left),
-        "median": median,
-        "quartiles": np.percentile(left, [25, 75]),
-        "verdict": "reached" if median <= 0.05 else "missed",
     }
 
 

@@ -2,7 +2,7 @@
 
 DIR/cases/case-001/machine.toml, runs/*.csv   all that a diagnosis is given
 DIR/verdicts/case-001.json, .toml             its verdict, and the machine file it wrote
-DIR/sealed/case-001/label.json, fresh/*.csv   the truth, and runs for the proof
+DIR/sealed/case-001/label.json                the truth
 DIR/seals/case-001.sha256                     SHA-256 of the label, from before the first verdict
 """
 
@@ -99,15 +99,14 @@ class SealedError(FfcompError):
 
 def write_case(bank: Path, name: str, made: Case) -> None:
     """Write the case and its seal; `seals.json` keeps those that are there."""
-    for folder, texts in ((bank / "cases" / name / "runs", made.runs), (bank / "sealed" / name / "fresh", made.fresh)):
+    runs, label, seal = bank / "cases" / name / "runs", label_path(bank, name), bank / "seals" / f"{name}.sha256"
+    for folder in (runs, label.parent, seal.parent):
         folder.mkdir(parents=True, exist_ok=True)
-        for file, text in texts.items():
-            (folder / file).write_text(text, encoding="utf-8")
-    (bank / "cases" / name / "machine.toml").write_text(made.machine, encoding="utf-8")
+    for file, text in made.runs.items():
+        (runs / file).write_text(text, encoding="utf-8")
+    (runs.parent / "machine.toml").write_text(made.machine, encoding="utf-8")
     text = json.dumps(asdict(made.label), indent=1, default=_plain)
-    label_path(bank, name).write_text(text, encoding="utf-8")
-    seal = bank / "seals" / f"{name}.sha256"
-    seal.parent.mkdir(exist_ok=True)
+    label.write_text(text, encoding="utf-8")
     seal.write_text(hashlib.sha256(text.encode()).hexdigest() + "\n", encoding="utf-8")
 
 

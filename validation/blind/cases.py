@@ -1,7 +1,6 @@
-"""One case of the blind bank: a machine file, measured runs, fresh runs for the proof, and a label kept apart.
+"""One case of the blind bank: a machine file, measured runs, and a label kept apart.
 
-    case(seed, "corexy/single/rough-file:cogging")      MACHINE/WHAT/CONDITION:NAME+NAME; parts of the beginning may be
-                                                        left out: "pair:cogging+belt_backlash", "none"
+    case(seed, "corexy/single/rough-file:cogging")      MACHINE/WHAT/CONDITION:NAME+NAME, or none in place of names
 
 Machines: those of `kinds`. What: `nothing`, `single`, `pair`, or `outside`, which no entry of the catalogue is meant
 for. Conditions:
@@ -9,7 +8,6 @@ for. Conditions:
     usual        all sensors of the machine, file off by 2 %, two repeats
     rough-file   the file off by 5 %, which it says
     joined       captures of one accelerometer, joined with their plan (`captures`): noise, clock, tilt, lost rows
-    exact-file   the file right in all numbers
     free-damping the damping is anywhere between belts and guides, and the file does not state where
     rest         something outside the catalogue in addition, worth 5 to 20 %
 """
@@ -33,15 +31,11 @@ from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw
 from validation.blind.visible import (
     PROBE,
     Visibility,
-    retuning,
-    samples,
     visibility_by_refit,
     whitened,
 )
 
-HIDES = ("nothing", "single", "pair", "outside")
-FILE_ERRORS = {"exact-file": 0.0, "rough-file": 0.05}  # standard deviation of numbers, relative
-CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "free-damping", "rest")
+FILE_ERROR, ROUGH_FILE_ERROR = 0.02, 0.05  # standard deviation of numbers, relative
 REST = (0.05, 0.2)  # of what all that is hidden is worth when the file's numbers are refitted
 LARGEST_REST = 1.5  # times its usual size
 RESTS = """
@@ -69,8 +63,8 @@ class Label:
     """The truth."""
 
     machine: str  # of kinds.KINDS
-    hides: str  # of HIDES
-    condition: str  # of CONDITIONS
+    hides: str  # nothing, single, pair, outside
+    condition: str
     seed: int
     effects: Mapping[str, Mapping[str, Any]]  # of the catalogue, as tables of a machine file
     outside: str  # "" if nothing outside the catalogue is hidden
@@ -93,42 +87,11 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """`runs` and `fresh` : file name → text. The diagnosis is given `machine` and `runs`, nothing else."""
+    """`runs` : file name → text. The diagnosis is given `machine` and `runs`, nothing else."""
 
     machine: str
     runs: Mapping[str, str]
-    fresh: Mapping[str, str]
     label: Label
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a case shall be."""
-
-    machine: str
-    hides: str
-    condition: str
-    names: tuple[str, ...]
-
-    @classmethod
-    def parse(cls, text: str) -> Wanted:
-        """Read MACHINE/WHAT/CONDITION:NAME+NAME.
-
-        Raises
-        ------
-        ValueError
-        """
-        told, _, asked = text.partition(":")
-        found = {"machine": "delta", "hides": "single", "condition": "usual"}
-        for word in filter(None, told.split("/")):
-            known = {"machine": tuple(KINDS), "hides": HIDES, "condition": CONDITIONS}
-            which = next((key for key, words in known.items() if word in words), None)
-            if which is None:
-                raise ValueError(f"There is no stratum {word!r}; there are {', '.join([*KINDS, *HIDES, *CONDITIONS])}.")
-            found[which] = word
-        if asked == "none":
-            found["hides"] = "nothing"
-        return cls(**found, names=() if asked == "none" else tuple(asked.split("+")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +108,6 @@ class Plan:
     spreads: tuple[float, ...]  # of the numbers of the file, as `kind.probes` has them
     motions: tuple[Motion, ...]
     repeats: tuple[int, ...]
-    fresh: tuple[Motion, ...]
     label: Label
 
     @property
@@ -153,57 +115,51 @@ class Plan:
         """The machine file's text."""
         return toml_of(self.file, "the owner's printer")
 
-    @property
-    def fresh_repeats(self) -> tuple[int, ...]:
-        """Return how often each of the fresh motions is made."""
-        return (self.kind.repeats, *[1] * (len(self.fresh) - 1))
-
-    def judged(self, real: Real, readings: Sequence[Reading], coarse: bool = False) -> list[Reading]:
+    def judged(self, real: Real, readings: Sequence[Reading]) -> list[Reading]:
         """Return what another printer would have read, in the form that is compared."""
         if self.kind.replayed is None:
-            return self.readings(real, self.motions, coarse)
+            return self.readings(real, self.motions)
         return [self.kind.replayed(real, reading) for reading in readings]
 
-    def readings(self, real: Real, motions: Sequence[Motion], coarse: bool = False) -> list[Reading]:
+    def readings(self, real: Real, motions: Sequence[Motion]) -> list[Reading]:
         """Play motions on a printer."""
-        return [self.kind.played(real, self.firmware, motion, coarse) for motion in motions]
+        return [self.kind.played(real, self.firmware, motion) for motion in motions]
 
 
-def case(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> Case:
-    """Draw, play, record. `short` : two motions only, the first four times, for tests."""
-    plan = draw(seed, stratum, seconds, short)
+def case(seed: int, stratum: str, seconds: float) -> Case:
+    """Draw, play, record."""
+    plan = draw(seed, stratum, seconds)
     rng = np.random.default_rng([seed, 99])
     readings = plan.readings(plan.real, plan.motions)
-    fresh = _records(plan, plan.fresh, plan.readings(plan.real, plan.fresh), plan.fresh_repeats, rng)
     if plan.label.condition == "joined":
         runs = joined_runs(plan.text, readings, seed, rng, seconds)
     else:
-        runs = _records(plan, plan.motions, readings, plan.repeats, rng)
-    return Case(plan.text, runs, fresh, replace(plan.label, visibility=_seen(plan, readings)))
+        runs = _records(plan, readings, rng)
+    return Case(plan.text, runs, replace(plan.label, visibility=_seen(plan, readings)))
 
 
-def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> Plan:
+def draw(seed: int, stratum: str, seconds: float) -> Plan:
     """Every part of a case has its own stream of random numbers: a hidden effect does not change the rest."""
-    wanted = Wanted.parse(stratum)
-    kind = KINDS[wanted.machine]
-    names = wanted.names
+    told, _, hidden = stratum.partition(":")
+    of, hides, condition = told.split("/")
+    kind, names = KINDS[of], () if hides == "nothing" else tuple(hidden.split("+"))
     own = [np.random.default_rng([seed, n]) for n in range(6)]
     drawn = machine = kind.draw(own[1], names)
     also: Tables = {}
-    free = wanted.condition == "free-damping" and "belt_damping" not in names
+    free = condition == "free-damping" and "belt_damping" not in names
     if free:
         assert kind.damped is not None
         machine, table = kind.damped(drawn, float(np.clip(own[5].uniform(-0.15, 1.15), 0.0, 1.0)))
         also = {"belt_damping": table} if table else {}
-    error, sensors = FILE_ERRORS.get(wanted.condition, 0.02), machine.get("sensors", kind.sensors)
+    error, sensors = ROUGH_FILE_ERROR if condition == "rough-file" else FILE_ERROR, machine.get("sensors", kind.sensors)
     sizes = dict.fromkeys(names, 1.0)
     real, tables = _hidden(kind, machine, seed, sizes)
     file = kind.file_of(drawn, error, own[3])
     if free and kind.unknown:
         file["uncertainty"] = {**file.get("uncertainty", {}), **dict.fromkeys(kind.unknown, 1.0)}
-    motions, fresh = kind.motions(machine, own[2], seconds, short)
-    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(kind, motions)
-    if wanted.condition == "joined":
+    motions = kind.motions(machine, own[2], seconds)
+    repeats = _repeats(kind, motions)
+    if condition == "joined":
         motions, repeats = planned_motions(toml_of(file, "the owner's printer"), seed, seconds)
     inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
     outside = "".join(name for name in names if name in kind.outside)
@@ -216,13 +172,12 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
         without={name: _hidden(kind, machine, seed, {**sizes, name: 0.0})[0] for name in names},
         plain=_hidden(kind, machine, seed, dict.fromkeys(names, 0.0))[0],
         sensors=draw_sensors(own[4], sensors, RATE_HZ),
-        spreads=_spreads(kind, machine, file, max(error, 0.02)),
+        spreads=_spreads(kind, machine, file, error),
         motions=motions,
         repeats=repeats,
-        fresh=fresh,
-        label=Label(wanted.machine, wanted.hides, wanted.condition, seed, inside, outside, {}, alike, also),
+        label=Label(of, hides, condition, seed, inside, outside, {}, alike, also),
     )
-    return plan if wanted.condition != "rest" else _with_rest(plan, own[5], seed)
+    return plan if condition != "rest" else _with_rest(plan, own[5], seed)
 
 
 def _repeats(kind: Kind, motions: Sequence[Motion]) -> tuple[int, ...]:
@@ -250,12 +205,10 @@ def _alike(tables: Mapping[str, Mapping[str, Any]], sensors: str) -> tuple[str, 
     return ("command_delay",) if tables.get("sensor_time_offset", {"offset_s": 0.0})["offset_s"] > 0 else ()
 
 
-def _records(
-    plan: Plan, motions: Sequence[Motion], readings: Sequence[Reading], repeats: Sequence[int], rng: np.random.Generator
-) -> dict[str, str]:
+def _records(plan: Plan, readings: Sequence[Reading], rng: np.random.Generator) -> dict[str, str]:
     """CSV texts by file name; repeats are numbered."""
     found, axes = {}, plan.kind.axes
-    for motion, reading, count in zip(motions, readings, repeats, strict=True):
+    for motion, reading, count in zip(plan.motions, readings, plan.repeats, strict=True):
         times = reading.t[:: round(1 / (RATE_HZ * (reading.t[1] - reading.t[0])))]
         if plan.kind.force is None:
             given = commands_of(plan.kind.command(plan.firmware, motion.path(times), axes), axes)
@@ -311,20 +264,15 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
     """Return what can be seen of each hidden thing."""
     if not plan.without:
         return {}
-    probed = plan.kind.probes(plan.plain.machine, PROBE)
-    players = [
-        partial(plan.judged, Real(machine, readers=plan.plain.readers), readings, True)
-        for machine in (plan.plain.machine, *probed)
-    ]
-    plain, spreads, clocks = players[0](), plan.spreads, 0
+    machines = (plan.plain.machine, *plan.kind.probes(plan.plain.machine, PROBE))
+    plain, *probed = (plan.judged(Real(each, readers=plan.plain.readers), readings) for each in machines)
+    spreads, clocks = plan.spreads, 0
     if plan.label.condition == "joined":  # the clock of each motion is in doubt
         clocks = len(plain)
-        players += [partial(_late, plain, PROBE * one) for one in np.eye(clocks)]
+        probed += [_late(plain, PROBE * one) for one in np.eye(clocks)]
         spreads += (1.0,) * clocks
-    taken = zip(samples(plan.sensors, readings), samples(plan.sensors, plain), strict=True)
-    counts = [min(pair) for pair in taken]
-    n = retuning(plain, players[1:], plan.sensors, plan.repeats, counts, spreads)
-    told = partial(whitened, plan.sensors, repeats=plan.repeats, counts=counts)
+    told = partial(whitened, plan.sensors, repeats=plan.repeats)
+    n = np.column_stack([(told(each) - told(plain)) / PROBE for each in probed]) * spreads
     own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
 
     def moved(real: Real, z: FloatArray) -> FloatArray:

@@ -19,7 +19,6 @@ from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, 
 from validation.plants.delta_plant import carriages_of, paper_shares, simulate
 
 STEP_S, KEPT_EVERY = 1 / 12800, 2  # 6400 samples a second: what a sensor's clock then picks from
-COARSE_STEP_S = 1 / 3200  # for derivatives of a printer without friction or backlash
 _SIZES: Mapping[str, tuple[float, float, float]] = {  # arm mm, effective radius mm, joint radius mm
     "middling": (300.0, 140.0, 39.9),
     "small": (230.0, 105.0, 30.0),
@@ -150,14 +149,13 @@ def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, An
     return {**machine, "carriage": machine["carriage"] | {belt: share * damping, guide: (1 - share) * damping}}, {}
 
 
-def played(real: Real, firmware: Mapping[str, Any], motion: Motion, coarse: bool = False) -> Reading:
-    """Return what perfect sensors read of a motion; 6400 samples a second, or one a coarse step."""
-    step, every = (COARSE_STEP_S, 1) if coarse else (STEP_S, KEPT_EVERY)
-    command = real.order(carriages_of(firmware, points(motion, 2 / step)), step / 2)
+def played(real: Real, firmware: Mapping[str, Any], motion: Motion) -> Reading:
+    """Return what perfect sensors read of a motion; 6400 samples a second."""
+    command = real.order(carriages_of(firmware, points(motion, 2 / STEP_S)), STEP_S / 2)
     effector, angles = real.machine["effector"], real.machine["kinematics"]["tower_angles_deg"]
     by_paper = {"shares": paper_shares(effector, angles)} if effector["force_map"] == "paper" else {}
     hidden = {**by_paper, **real.fields}
-    out = simulate(real.machine, command, step, gravity=True, keep_every=every, hidden=hidden)
+    out = simulate(real.machine, command, STEP_S, gravity=True, keep_every=KEPT_EVERY, hidden=hidden)
     felt = (out["carriage_acc_m_per_s2"], out["nozzle_acc_m_per_s2"])
     return real.read(Reading(out["t"], *felt, out["carriage_mm"], out["nozzle_mm"]), motion.name)
 

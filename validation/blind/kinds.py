@@ -24,7 +24,6 @@ MEASURED = (  # motion, place, name, loudness
     ("steps", 3, "back", 1.0),
     ("turns", 4, "up", 1.0),
 )
-FRESH = (("multisine", 5, "fresh", 1.2), ("infill", 5, "fresh", 1.0))
 OF_A_STAGE = (
     ("multisine", 0, "centre", 1.0),
     ("strokes", 0, "long", 1.0),
@@ -33,7 +32,6 @@ OF_A_STAGE = (
     ("steps", 0, "back", 0.6),
     ("turns", 0, "up", 1.0),
 )
-FRESH_OF_A_STAGE = (("multisine", 5, "fresh", 1.2), ("strokes", 5, "fresh", 1.3))
 Given: TypeAlias = Callable[[Tables, FloatArray, Reading, Rng], dict[str, FloatArray]]
 Replayed: TypeAlias = Callable[[Real | None, Reading], Reading]
 Columns: TypeAlias = Callable[[Tables, Mapping[str, FloatArray]], dict[str, FloatArray]]
@@ -46,7 +44,7 @@ class Kind:
 
     draw: Callable[[Rng, Sequence[str]], Tables]  # of the names of what will be hidden
     file_of: Callable[[Tables, float, Rng], Tables]
-    played: Callable[[Real, Mapping[str, Any], Motion, bool], Reading]
+    played: Callable[[Real, Mapping[str, Any], Motion], Reading]
     probes: Callable[[Tables, float], Iterator[Tables]]
     places: Callable[[Tables, Rng], list[Place]]
     effects: Mapping[str, Hide]
@@ -56,7 +54,6 @@ class Kind:
     axes: str  # of the command in a run
     moving: tuple[float, float, float] = (1.0, 1.0, 1.0)  # 0 where a motion stays at its place
     measured: Sequence[tuple[str, int, str, float]] = MEASURED
-    fresh: Sequence[tuple[str, int, str, float]] = FRESH
     repeats: int = 2  # of the first motions
     force: Given | None = None  # the recorded force that drives it, by column
     replayed: Replayed | None = None  # another machine under a reading's forces, or the reading itself, to compare
@@ -70,17 +67,15 @@ class Kind:
         """Return what a run's file has as the command, (n, axes) mm, of a nozzle's path."""
         return carriages_of(firmware, path) if axes == "ABC" else path[:, : len(axes)]
 
-    def motions(self, machine: Tables, rng: Rng, seconds: float, short: bool) -> tuple[tuple[Motion, ...], ...]:
-        """Draw what is measured, and what will be measured afterwards at other places."""
+    def motions(self, machine: Tables, rng: Rng, seconds: float) -> tuple[Motion, ...]:
+        """Draw what is measured."""
         places = self.places(machine, rng)
 
         def motion(what: str, where: int, name: str, loudness: float) -> Motion:
             path = MOTIONS[what](rng, places[where], seconds, loudness)
             return Motion(f"{what}-{name}", _held(path, self.moving), seconds)
 
-        measured = [motion(*each) for each in self.measured]
-        fresh = [motion(*each) for each in self.fresh]
-        return (tuple(measured), tuple(fresh)) if not short else ((measured[0], measured[2]), tuple(fresh[:1]))
+        return tuple(motion(*each) for each in self.measured)
 
 
 def _held(path: Path, moving: tuple[float, float, float]) -> Path:
@@ -145,7 +140,6 @@ _FORCED = _kind(
     axes="q",
     moving=(1.0, 0.0, 0.0),
     measured=OF_A_STAGE,
-    fresh=FRESH_OF_A_STAGE,
     repeats=1,  # no two runs have the same force
     force=servo.given,
     replayed=servo.replayed,

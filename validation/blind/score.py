@@ -1,7 +1,6 @@
 """Verdicts against labels: rates with Wilson's intervals against aims, the confusion matrix, the numbers' errors.
 
-A verdict is the JSON of `ffcomp diagnose --json`; a proof is that of `ffcomp gap --json` on runs the diagnosis
-never saw, with the old machine file and with the better one.
+A verdict is the JSON of `ffcomp diagnose --json`.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ class Judged:
     name: str
     label: Label
     verdict: Mapping[str, Any]
-    proof: Mapping[str, float] = field(default_factory=dict)  # "before", "after", "noise": nrms on fresh runs
 
     @property
     def named(self) -> frozenset[str]:
@@ -202,13 +200,6 @@ def _wrong_alone(j: Judged) -> bool:
 def acceptable(j: Judged) -> frozenset[str]:
     """Return what may be named."""
     return j.truth | frozenset(j.label.alike)
-
-
-def shrink(judged: Sequence[Judged]) -> list[float]:
-    """(after - noise)/(before - noise) of the nrms on fresh runs, for every verdict that named something."""
-    proofs = [j.proof for j in judged if j.says == "effects" and j.proof]
-    gaps = [(p["before"] - p["noise"], p["after"] - p["noise"]) for p in proofs]
-    return [max(after, 0.0) / before for before, after in gaps if before > 0]
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def probes(machine: Tables, by: float) -> Iterator[Tables]:
 # ---- runs ----------------------------------------------------------------------------------------
 
 
-def played(real: Real, firmware: Mapping[str, Any], motion: Motion, coarse: bool = False) -> Reading:
+def played(real: Real, firmware: Mapping[str, Any], motion: Motion) -> Reading:
     """Return what perfect sensors read of a motion that the servo makes; 6400 samples a second."""
     path = np.ascontiguousarray(points(motion, 1 / STEP_S)[:, 0]) / 1e3
     push = np.gradient(np.gradient(path, STEP_S), STEP_S)

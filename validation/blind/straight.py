@@ -22,7 +22,7 @@ from validation.plants import straight_plant as plant
 from validation.plants.shapes import BREAKS, DAHL
 from validation.plants.straight_plant import turn_of
 
-STEP_S, KEPT_EVERY, COARSE_STEP_S = 1 / 12800, 2, 1 / 6400
+STEP_S, KEPT_EVERY = 1 / 12800, 2
 ONE_BODY = ("gantry_racking", "toolhead_mode", "growing_bed")
 PROBED = ("belt_k", "guide_b", "mount_k", "tool")
 
@@ -132,17 +132,16 @@ def _printed(machine: Tables, height_mm: float) -> Tables:
     return {**machine, "plant": plant}
 
 
-def played(real: Real, firmware: Mapping[str, Any], motion: Motion, coarse: bool = False) -> Reading:
+def played(real: Real, firmware: Mapping[str, Any], motion: Motion) -> Reading:
     """Return what perfect sensors read of a motion; 6400 samples a second."""
-    step, every = (COARSE_STEP_S, 1) if coarse else (STEP_S, KEPT_EVERY)
-    path = points(motion, 2 / step)
-    command = np.ascontiguousarray(real.order(path[:, :2] @ turn_of(firmware["type"]).T, step / 2) / 1e3)
+    path = points(motion, 2 / STEP_S)
+    command = np.ascontiguousarray(real.order(path[:, :2] @ turn_of(firmware["type"]).T, STEP_S / 2) / 1e3)
     p = plant.printer_of(_printed(real.machine, path[0, 2]), real.fields)
-    speed = np.gradient(command, step / 2, axis=0)
-    out = plant.run(command, speed, step, every, p, plant.at_rest(command[0], p), 0.0)
+    speed = np.gradient(command, STEP_S / 2, axis=0)
+    out = plant.run(command, speed, STEP_S, KEPT_EVERY, p, plant.at_rest(command[0], p), 0.0)
     still, rigid = np.zeros((len(out), 3)), np.zeros((len(out), 1))
     felt, there = np.hstack([out[:, 1], rigid]), np.hstack([1e3 * out[:, 0], rigid])
-    t = step * every * np.arange(len(out), dtype=np.float64)
+    t = STEP_S * KEPT_EVERY * np.arange(len(out), dtype=np.float64)
     return real.read(Reading(t, still, felt, still, there), motion.name)
 
 

@@ -37,44 +37,17 @@ class Visibility:
         return self.raw >= LEAST_RAW and self.left >= LEAST_LEFT
 
 
-def samples(sensors: Sensors, readings: Sequence[Reading]) -> list[int]:
-    """Return how many samples the sensors take of each reading: of coarse steps perhaps one more."""
-    return [min(len(values) for values in sensors.perfect(reading).values()) for reading in readings]
-
-
-def whitened(
-    sensors: Sensors, readings: Sequence[Reading], repeats: Sequence[int], counts: Sequence[int]
-) -> FloatArray:
-    """(rows,): real and imaginary parts of every channel and motion, in noises; repeats weigh by their root.
-
-    Parameters
-    ----------
-    counts : samples of each reading that are taken, from its beginning.
-    """
+def whitened(sensors: Sensors, readings: Sequence[Reading], repeats: Sequence[int]) -> FloatArray:
+    """(rows,): real and imaginary parts of every channel and motion, in noises; repeats weigh by their root."""
     parts = []
-    for reading, count, length in zip(readings, repeats, counts, strict=True):
-        for name, whole in sensors.perfect(reading).items():
-            values = whole[:length]
+    for reading, count in zip(readings, repeats, strict=True):
+        for name, values in sensors.perfect(reading).items():
             f = np.asarray(np.fft.rfftfreq(len(values), 1 / sensors.rate_hz), dtype=np.float64)
             inside = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
             scale = np.sqrt(2 * count / (len(values) * sensors.spectrum(name, f[inside])))
             spectrum = np.fft.rfft(values)[inside] * scale
             parts += [spectrum.real, spectrum.imag]
     return np.concatenate(parts)
-
-
-def retuning(
-    plain: Sequence[Reading],
-    probed: Sequence[Callable[[], list[Reading]]],
-    sensors: Sensors,
-    repeats: Sequence[int],
-    counts: Sequence[int],
-    spreads: Sequence[float],
-) -> FloatArray:
-    """N : (rows, numbers), the answers of the plain printer to one standard deviation of each number."""
-    base = whitened(sensors, plain, repeats, counts)
-    answers = [(whitened(sensors, each(), repeats, counts) - base) / PROBE for each in probed]
-    return np.column_stack(answers) * spreads
 
 
 def visibility(difference: FloatArray, n: FloatArray) -> Visibility:
