@@ -59,3 +59,10 @@ def test_every_package_has_a_test_in_each_quick_run() -> None:
     assert len(packages) > 15
     without = [name for name in packages if not any(f"from ffcomp.{name}" in text for text in quick)]
     assert without == ["api"]  # its names are those of ffcomp: test_public.py
+
+
+def test_compiled_loops_have_no_default_arguments() -> None:
+    """With one, the wheel whose loops are compiled ahead cannot be built."""
+    default = re.compile(r"^@(?:kernel|fast_kernel|compiled)\b.*\ndef (\w+)\([^)]*=", re.MULTILINE)
+    texts = [p.read_text("utf-8") for package in ("ffcomp", "gcode", "models") for p in (ROOT / package).rglob("*.py")]
+    assert default.findall("".join([*texts, "@kernel\ndef f(x: float, cut: float = 1.0) -> float:\n"])) == ["f"]
