@@ -25,7 +25,7 @@ from ffcomp.compensation.result import FileSize, Result
 from ffcomp.compensation.solve import replanner_of
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
-from ffcomp.compensation.text_stream import in_order, stamped, unless, with_times_retold
+from ffcomp.compensation.text_stream import in_order, stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.firmware.program import firmware_plan, read_as_planned
@@ -322,34 +322,25 @@ class Lines:
         self.statistics, self.size = Statistics(), FileSize()  # so far
 
     def __iter__(self) -> Iterator[bytes]:
-        job, started = self._job, time.perf_counter()
-        embed, predicted = job.settings.writer.embed, NO_FORECAST
+        job, started, embed = self._job, time.perf_counter(), self._job.settings.writer.embed
 
         def planned_s() -> tuple[float, float]:
             return self.statistics.print_time_s, self.statistics.original_print_time_s
-
-        def at_end() -> bytes:
-            nonlocal predicted
-            predicted = job.forecast(self.statistics)
-            return predicted.line()
-
-        def as_sliced() -> Iterator[bytes] | None:
-            nonlocal predicted
-            if (expected := predicted.expected) is None or not expected.shaper_is_better:
-                return None
-            predicted = predicted.as_sliced(job.machine)
-            text = job.through_shaper(expected.tuned)
-            return stamped(text, stamp, shaper_line(*expected.tuned), predicted.line)
 
         reach = Reach(job.machine.kinematics)
         pieces = with_times_retold(self.of(job.outputs(reach), reach), planned_s, embed=embed)
         if job.shaper.state != "kept":
             pieces = with_shaper_off(pieces, job.shaper)
-        stamp = stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
+        text = in_order(pieces, self._folder)
+        text = chain([next(text, b"")], text)  # all of it is made
+        predicted = job.forecast(self.statistics)
+        expected = predicted.expected
         notes = offset_line(job.offset) + (b"" if embed else WITHOUT_ORIGINAL + b"\n")
-        written = 0
-        lines = stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end)
-        for piece in unless(lines, as_sliced, self._folder) if job.may_shape else lines:
+        if job.may_shape and expected is not None and expected.shaper_is_better:
+            predicted, notes = predicted.as_sliced(job.machine), shaper_line(*expected.tuned)
+            text = job.through_shaper(expected.tuned)
+        written, stamp = 0, stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
+        for piece in stamped(filter(None, text), stamp, notes, predicted.line()):
             written += len(piece)
             yield piece
         self.size = replace(self.size, written=written)

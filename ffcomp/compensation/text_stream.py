@@ -1,17 +1,15 @@
-"""Write the text of a compensated file as it streams: stamp, and lines that are known at the end of the print only.
+"""Write the text of a compensated file: stamp, and lines that are known at the end of the print only.
 
 The print time is stated at the head of a file and in every M73, and is known when the whole print has been planned. So
-the text after the first such line waits in a temporary file. The longest print needs one more copy of itself on the
-disk, and no memory.
+the text waits in a temporary file: the longest print needs one more copy of itself on the disk, and no memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import IO
 
 from gcode.embedded import TIME_WAS
 from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells, with_waiting_s
@@ -30,49 +28,26 @@ Text = Iterable[bytes | Later]
 
 
 def in_order(pieces: Text, folder: Path | None = None) -> Iterator[bytes]:
-    """Yield pieces in their order; the text after an unknown line waits in a temporary file.
+    """Yield pieces in their order, once all are made and every `Later` among them is known.
 
-    Parameters
-    ----------
-    pieces : every `Later` among them is known when they end
     folder : holds the temporary file; None: the system's folder
     """
-    waiting: list[tuple[int, Later]] = []  # each with the number of bytes held before it
+    waiting: list[tuple[int, Later]] = []  # each with the number of bytes before it
     with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:
         for piece in pieces:
             if isinstance(piece, Later):
+                while waiting and waiting[-1][1].text == b"":
+                    waiting.pop()
                 waiting.append((held.tell(), piece))
-                known = next(k for k, (_, later) in enumerate(waiting) if later.text is None)
-                if known and waiting[known][0] == held.tell():
-                    yield from _released(held, waiting[:known])
-                    waiting = [(0, later) for _, later in waiting[known:]]
-            elif waiting:
-                held.write(piece)
             else:
-                yield piece
-        yield from _released(held, waiting)
-
-
-def unless(
-    pieces: Iterable[bytes], instead: Callable[[], Iterator[bytes] | None], folder: Path | None
-) -> Iterator[bytes]:
-    """Yield pieces once all of them are made, or others that are chosen then; None: the pieces."""
-    with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:
-        held.writelines(pieces)
-        others = instead()
-        yield from _released(held, ()) if others is None else others
-
-
-def _released(held: IO[bytes], waiting: Sequence[tuple[int, Later]]) -> Iterator[bytes]:
-    held.seek(0)
-    for until, later in waiting:
-        while size := until - held.tell():
-            yield held.read(min(size, BLOCK))
-        yield later.text or b""
-    while piece := held.read(BLOCK):
-        yield piece
-    held.seek(0)
-    held.truncate()
+                held.write(piece)
+        held.seek(0)
+        for until, later in waiting:
+            while size := until - held.tell():
+                yield held.read(min(size, BLOCK))
+            yield later.text or b""
+        while piece := held.read(BLOCK) + held.readline():  # the last one holds the whole last line
+            yield piece
 
 
 def with_times_retold(
@@ -113,12 +88,10 @@ def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
     return new if new == line or not embed else TIME_WAS + stated_time(line) + ending + new
 
 
-def stamped(
-    pieces: Iterator[bytes], stamp: bytes, notes: bytes, at_end: Callable[[], bytes] = lambda: b""
-) -> Iterator[bytes]:
+def stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes, at_end: bytes) -> Iterator[bytes]:
     """Put the stamp after the first line (slicers are known by it) and before a last line without newline.
 
-    notes : lines behind the first stamp;  at_end : asked after the last piece for lines behind the second one
+    notes : lines behind the first stamp;  at_end : lines behind the second one
     """
     kept = next(pieces, b"")
     begin = kept.find(b"\n") + 1
@@ -132,5 +105,5 @@ def stamped(
         yield kept
         kept = piece
     end = kept.rfind(b"\n") + 1
-    yield kept[:end] + stamp + at_end().replace(b"\n", ending)
+    yield kept[:end] + stamp + at_end.replace(b"\n", ending)
     yield kept[end:]
