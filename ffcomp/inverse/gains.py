@@ -22,10 +22,9 @@ with Q = C̄ᵀC̄, R = ρ I + D̄ᵀD̄ and N = C̄ᵀD̄ (`riccati.py`).
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from threading import Lock
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -215,25 +214,23 @@ class PreviewGains:
         self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
         self.size = augmented(states)
         self._steady = no_gains(self.size)
-        self._ends: OrderedDict[int, Gains] = OrderedDict()
-        self._working = Lock()
+        self.end = lru_cache(ENDS_KEPT)(self._end)
 
     def at(self, place: FloatArray) -> tuple[IntArray, Gains]:
         """Which gains serve at places (n, 2) mm: numbers (n,) into those returned."""
         i, j = np.clip(np.rint(place / PITCH_MM), -self._half, self._half).astype(np.int64).T + self._half
         node = i * (2 * self._half + 1) + j
-        with self._working:
+        slot = self._slot[node]
+        if slot.min(initial=0) < 0:
+            missing = np.unique(node[slot < 0])
+            for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)):
+                p = self.segment_plant(some)
+                problem = p.problem(self.control_weight)
+                feedback, curvature = problem.feedback(problem.stationary_value())
+                preview = p.preview(curvature, self.control_weight)
+                self._add(some, _packed(p, feedback, preview, self.control_weight))
             slot = self._slot[node]
-            if slot.min(initial=0) < 0:
-                missing = np.unique(node[slot < 0])
-                for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)):
-                    p = self.segment_plant(some)
-                    problem = p.problem(self.control_weight)
-                    feedback, curvature = problem.feedback(problem.stationary_value())
-                    preview = p.preview(curvature, self.control_weight)
-                    self._add(some, _packed(p, feedback, preview, self.control_weight))
-                slot = self._slot[node]
-            return slot, self._steady
+        return slot, self._steady
 
     def segment_plant(self, node: IntArray) -> SegmentPlant:
         """Return the problem that is solved at nodes (g,) of the grid."""
@@ -254,33 +251,21 @@ class PreviewGains:
 
     def known(self) -> dict[str, NDArray[Any]]:
         """All gains so far, to be taken up again."""
-        with self._working:
-            n = len(self._node)
-            return {"node": self._node, "backward": self._steady.backward[:n], "forward": self._steady.forward[:n]}
+        n = len(self._node)
+        return {"node": self._node, "backward": self._steady.backward[:n], "forward": self._steady.forward[:n]}
 
     def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
         """Gains of the same machine that somebody else has worked out."""
-        with self._working:
-            new = self._slot[known["node"]] < 0
-            self._add(known["node"][new], Gains(known["backward"][new], known["forward"][new]))
+        new = self._slot[known["node"]] < 0
+        self._add(known["node"][new], Gains(known["backward"][new], known["forward"][new]))
 
-    def end(self, slot: int) -> Gains:
+    def _end(self, slot: int) -> Gains:
         """Return the gains of the last `TO_THE_END` intervals of a section that ends at a position, first to last.
 
         The interval that ends the section has no choice left, nor have those after it: their gains are zero.
         """
-        with self._working:
-            if slot in self._ends:
-                self._ends.move_to_end(slot)
-                return self._ends[slot]
-            gains = self._ends[slot] = self._finite(self.segment_plant(self._node[slot : slot + 1]))
-            if len(self._ends) > ENDS_KEPT:
-                self._ends.popitem(last=False)
-            return gains
-
-    def _finite(self, at: SegmentPlant) -> Gains:
-        """From the end on backwards: where the command rests already, then where it still has a choice."""
-        p, n, states = SegmentPlant(at.a[0], at.b[0], at.c[0], at.d[0]), TO_THE_END + REST_ROWS, self.size - 2 * AXES
+        at, n, states = self.segment_plant(self._node[slot : slot + 1]), TO_THE_END + REST_ROWS, self.size - 2 * AXES
+        p = SegmentPlant(at.a[0], at.b[0], at.c[0], at.d[0])
         feedback, preview = np.zeros((n, AXES, self.size)), np.zeros((n, AXES, self.size + 9))
         rests = feedback[TO_THE_END - 1 :]  # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}
         rests[:, :, states : states + AXES], rests[:, :, states + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)

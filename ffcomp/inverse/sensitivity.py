@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -77,7 +76,6 @@ class Sensitivity:
         draws = DRAWS_WIDE if wide else DRAWS
         self._possible = sampled_machines(machine, draws) if sampled else perturbed_machines(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
-        self._working = Lock()
 
     @cached_property
     def frequency(self) -> FloatArray:
@@ -132,8 +130,7 @@ class Sensitivity:
         at = np.array([i, j]) * (PLACES_MM / PITCH_MM)
         nodes = np.floor(at).astype(np.int64) + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
         shares = np.prod(np.maximum(1.0 - np.abs(at - nodes), 0.0), axis=1).astype(np.float32)
-        with self._working:
-            parts = [share * self._node((a, b)) for share, (a, b) in zip(shares, nodes.tolist(), strict=True) if share]
+        parts = [share * self._node((a, b)) for share, (a, b) in zip(shares, nodes.tolist(), strict=True) if share]
         known, at_nodes = np.sum(parts, axis=0), self._lines(NODE_ROWS)
         before = np.clip(np.searchsorted(at_nodes, self.frequency, side="right") - 1, 0, len(at_nodes) - 2)
         share = ((self.frequency - at_nodes[before]) / np.diff(at_nodes)[before]).astype(np.float32)
@@ -145,22 +142,15 @@ class Sensitivity:
 
     def known(self) -> dict[str, NDArray[Any]]:
         """Return all of D so far, to be taken up again; nothing where none is known."""
-        with self._working:
-            if not self._nodes:
-                return {}
-            return {
-                "sensitivity node": np.array(list(self._nodes)),
-                "sensitivity": np.stack(list(self._nodes.values())),
-            }
+        if not self._nodes:
+            return {}
+        return {"sensitivity node": np.array(list(self._nodes)), "sensitivity": np.stack(list(self._nodes.values()))}
 
     def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
         """Take up D of the same machine that somebody else has worked out."""
-        if "sensitivity" in known:
-            if known["sensitivity"].shape[1] != 1 + self.directions:
-                return
-            with self._working:
-                for (a, b), response in zip(known["sensitivity node"].tolist(), known["sensitivity"], strict=True):
-                    self._nodes.setdefault((a, b), response)
+        if "sensitivity" in known and known["sensitivity"].shape[1] == 1 + self.directions:
+            for (a, b), response in zip(known["sensitivity node"].tolist(), known["sensitivity"], strict=True):
+                self._nodes.setdefault((a, b), response)
 
     def _node(self, node: tuple[int, int]) -> ShortComplexArray:
         if node not in self._nodes:
