@@ -16,11 +16,9 @@ application in diagnostic radiology, Math. Programming Study 9 (1978) 15-29.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ffcomp.inverse.command_limits import TOLERANCE, CommandLimits
+from ffcomp.inverse.command_limits import TOLERANCE, CommandLimits, Demand
 from models.arrays import FloatArray
 from models.compiled import kernel
 from models.kinematics.base import Compiled
@@ -41,13 +39,14 @@ def nearest_within_limits(
     vertices, path : (n + 1, 3) mm, the nozzle's command and its path at the knots
     """
     now, planned = (np.concatenate([each[:1], each, each[-1:]]) for each in (vertices, path))
-    own, start = _Asked.by(planned, limits), kinematics.inverse(now) @ limits.motors.T
+    own, start = limits.demand(planned), kinematics.inverse(now) @ limits.motors.T
     for _ in range(LINEARISATIONS):
-        beyond = np.flatnonzero(limits.demand(now).utilisation(limits).max(axis=(1, 2)) > 1.0)
+        asked = limits.demand(now)
+        beyond = np.flatnonzero(asked.utilisation(limits).max(axis=(1, 2)) > 1.0)
         if not len(beyond):
             break
         u = kinematics.inverse(now) @ limits.motors.T
-        rows = _Asked.by(now, limits).bounds(u, own, limits)
+        rows = _bounds(u, asked, own, limits)
         for part in np.split(beyond, np.flatnonzero(np.diff(beyond) > 2 * AROUND) + 1):
             first, last = max(int(part[0]) - AROUND, 0), min(int(part[-1]) + AROUND, len(u))
             inside = slice(first, last)
@@ -58,44 +57,30 @@ def nearest_within_limits(
     return now[1:-1]
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """The demand of a command of n + 1 knots, at rest before and after it, on the motors at both ends of a range."""
+def _bounds(
+    u: FloatArray, asked: Demand, path: Demand, limits: CommandLimits
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return stencils along the knots, and the lowest and highest that each may give, mm.
 
-    velocity: FloatArray  # (n, 3, 2) mm/s
-    acceleration: FloatArray  # (n - 1, 3, 2) mm/s²
-    height: FloatArray  # (n, 3, 2) mm
-
-    @classmethod
-    def by(cls, vertices: FloatArray, limits: CommandLimits) -> _Asked:
-        demand = limits.demand(vertices)
-        return cls(demand.velocity, demand.acceleration(limits.segment_s), demand.height)
-
-    def bounds(
-        self, u: FloatArray, path: _Asked, limits: CommandLimits
-    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return stencils along the knots, and the lowest and highest that each may give, mm.
-
-        u : (n + 1, 3) mm, the motors' heights that demand this
-        """
-        s = limits.segment_s
-        rows = []
-        for stencil, asked, planned, limit, unit in (
-            (STEP, self.velocity, path.velocity, limits.velocity_mm_per_s, s),
-            (BEND, self.acceleration, path.acceleration, limits.acceleration_mm_per_s2, s**2),
-        ):
-            largest = np.abs(planned).max(axis=2)
-            most = np.maximum((1.0 - MARGIN) * limit, np.where(largest > TOLERANCE * limit, largest, 0.0))
-            straight = np.diff(u, len(stencil) - 1, axis=0)
-            low, high = straight - unit * (asked.min(axis=2) + most), straight - unit * (asked.max(axis=2) - most)
-            rows.append((stencil, low, high))
-        above = self.height[..., 1] - np.maximum(u[:-1], u[1:])
-        low_mm, high_mm = limits.travel_mm
-        lowest, highest = np.full_like(u, low_mm + TRAVEL_MARGIN_MM), np.full_like(u, high_mm - TRAVEL_MARGIN_MM)
-        lowest[1:-1] = np.minimum(lowest[1:-1], np.minimum(path.height[:-1, :, 0], path.height[1:, :, 0]))
-        highest[1:-1] = np.maximum(highest[1:-1], np.maximum(path.height[:-1, :, 1], path.height[1:, :, 1]))
-        highest[1:-1] -= np.maximum(above[:-1], above[1:])
-        return [*rows, (HEIGHT, lowest, highest)]
+    u : (n + 1, 3) mm, the motors' heights that demand what is asked;  path : the demand of the path itself
+    """
+    s, rows = limits.segment_s, []
+    for stencil, now, planned, limit, unit in (
+        (STEP, asked.velocity, path.velocity, limits.velocity_mm_per_s, s),
+        (BEND, asked.acceleration(s), path.acceleration(s), limits.acceleration_mm_per_s2, s**2),
+    ):
+        largest = np.abs(planned).max(axis=2)
+        most = np.maximum((1.0 - MARGIN) * limit, np.where(largest > TOLERANCE * limit, largest, 0.0))
+        straight = np.diff(u, len(stencil) - 1, axis=0)
+        low, high = straight - unit * (now.min(axis=2) + most), straight - unit * (now.max(axis=2) - most)
+        rows.append((stencil, low, high))
+    above = asked.height[..., 1] - np.maximum(u[:-1], u[1:])
+    low_mm, high_mm = limits.travel_mm
+    lowest, highest = np.full_like(u, low_mm + TRAVEL_MARGIN_MM), np.full_like(u, high_mm - TRAVEL_MARGIN_MM)
+    lowest[1:-1] = np.minimum(lowest[1:-1], np.minimum(path.height[:-1, :, 0], path.height[1:, :, 0]))
+    highest[1:-1] = np.maximum(highest[1:-1], np.maximum(path.height[:-1, :, 1], path.height[1:, :, 1]))
+    highest[1:-1] -= np.maximum(above[:-1], above[1:])
+    return [*rows, (HEIGHT, lowest, highest)]
 
 
 @kernel
