@@ -62,7 +62,7 @@ def _bounds(
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Return stencils along the knots, and the lowest and highest that each may give, mm.
 
-    u : (n + 1, 3) mm, the motors' heights that demand what is asked;  path : the demand of the path itself
+    u : (n + 1, 3) mm, the motors' heights;  asked : their demand;  path : the demand of the path itself
     """
     s, rows = limits.segment_s, []
     for stencil, now, planned, limit, unit in (

@@ -275,7 +275,7 @@ def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], see
 
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:
-    """Keep what was simulated if it is the best, and of it the positions that are."""
+    """Keep the simulated command if it is the best, and of it the positions that are."""
     iterate, s = each.iterate, each.iterate.model.settings
     reference, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
     rows = min(len(nozzle), len(reference))
@@ -295,7 +295,7 @@ def _judge(each: _Round, nozzle: FloatArray) -> None:
 
 
 def _put_together(each: _Round, local: FloatArray) -> None:
-    """Take what was simulated wherever it is the best so far."""
+    """Take the simulated command wherever it is the best so far."""
     if not len(each.gamma):
         each.gamma, each.local = each.iterate.gamma.copy(), local
         return

@@ -1,6 +1,6 @@
 """How the response to a reference differs among the printers that a machine file's `[uncertainty]` allows.
 
-With the plain inverse K₀ of the machine, D = G K₀ is what comes of a reference. D is taken apart at each place of a
+With the plain inverse K₀ of the machine, D = G K₀ is the response to a reference. D is decomposed at each place of a
 grid into its mean and its principal directions over the possible printers. Principal components: Jolliffe, Principal
 Component Analysis, 2nd ed. 2002.
 
