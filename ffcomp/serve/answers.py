@@ -47,8 +47,8 @@ def _labelled(stated: re.Match[str], option: Declared | None) -> str:
     return f"“{option.option.label}{':' * bool(value)}{value}”"
 
 
-def keep_first_figure(report: Path, picture: Path) -> None:
-    """Write the first figure of a report, which the page shows below the answer, unless a verb has drawn its own."""
+def keep_first_figure(report: Path, picture: Path, panel: Path) -> None:
+    """Write the first figure of a report as the picture below the answer, or as its panel for phones."""
     with suppress(OSError):
-        if not picture.exists() and (figure := FIGURE.search(report.read_text(encoding="utf-8"))):
-            picture.write_bytes(base64.b64decode(figure[1]))
+        if figure := FIGURE.search(report.read_text(encoding="utf-8")):
+            (panel if picture.exists() else picture).write_bytes(base64.b64decode(figure[1]))

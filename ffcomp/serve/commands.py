@@ -23,7 +23,7 @@ from ffcomp.record.request import PlanRequest, Purpose
 from ffcomp.request import Declared, Option, Request, declared
 from ffcomp.serve.uploads import Refused
 
-PICTURE, REPORT, BETTER, UPDATES = "picture.svg", "report.html", "better.toml", ".updates.jsonl"
+PICTURE, PANEL, REPORT, BETTER, UPDATES = "picture.svg", "panel.svg", "report.html", "better.toml", ".updates.jsonl"
 MOVES, PLAN = "moves.gcode", "moves.json"
 PRINTS = (".gcode", ".gco", ".g")
 MOST_CAPTURES = 200

@@ -18,7 +18,7 @@ from pathlib import Path
 from ffcomp.result import Answer
 from ffcomp.serve import machines, messages
 from ffcomp.serve.answers import answer_of, keep_first_figure
-from ffcomp.serve.commands import KINDS, PICTURE, REPORT, Step, steps, task_of
+from ffcomp.serve.commands import KINDS, PANEL, PICTURE, REPORT, Step, steps, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.settings import MEGABYTE, RESERVE, ServeSettings
 from ffcomp.serve.uploads import Refused
@@ -199,7 +199,7 @@ class Runner:
                     self._end_job(job.id, FAILED, error=why, answer=_answer(job.kind, place))
                     return
                 notes.append(f"{step.doing} failed: {why}")
-        keep_first_figure(place / "out" / REPORT, place / "out" / PICTURE)
+        keep_first_figure(*(place / "out" / name for name in (REPORT, PICTURE, PANEL)))
         answer = _answer(job.kind, place)
         self._end_job(job.id, DONE, answer=replace(answer, warnings=[*answer.warnings, *notes]))
 

@@ -75,7 +75,9 @@ function found(job) {
 
 function picture(job) {
   const source = file(job, "picture.svg", true);
-  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("img", { src: source, loading: "lazy", alt: job.answer.headline || job.title }));
+  const whole = make("img", { src: source, loading: "lazy", alt: job.answer.headline || job.title });
+  const panel = job.outputs.includes("panel.svg") ? [make("source", { media: "(max-width: 620px)", srcset: file(job, "panel.svg", true) })] : [];
+  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("picture", {}, ...panel, whole));
 }
 
 function list(title, sentences) {
@@ -96,7 +98,7 @@ function buttons(job, page) {
   if (job.state === "done") {
     if (job.outputs.includes("report.html")) row.append(make("a", { className: "button main", href: file(job, "report.html", true), target: "_blank", rel: "noopener", textContent: "Open the report" }));
     if (job.outputs.includes("better.toml")) row.append(keeping(job, page));
-    for (const name of job.outputs.filter((each) => !["picture.svg", "report.html"].includes(each)))
+    for (const name of job.outputs.filter((each) => !["picture.svg", "panel.svg", "report.html"].includes(each)))
       row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
   } else act("again", "Again");
   act("remove", "Remove", "plain");
