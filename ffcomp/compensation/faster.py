@@ -58,7 +58,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[Plann
         for part in chunk.extent.near(slicers, context_s(program.moves, slicers)):
             near[part] = True
     quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
-    warnings = (*_bound_exceeded(chunk, quicker, bound), *_unchanged_moves(chunk, quicker))
+    warnings = _bound_exceeded(chunk, quicker, bound)
     if warnings and model.settings.slowing.strict:
         raise LimitsError(warnings[0])
     quick: Program | None = quicker.program
@@ -98,18 +98,6 @@ def _bound_exceeded(chunk: Chunk, quicker: FasterProgram, bound: Bound) -> tuple
     return (
         f"line {line}: the bound is not held from here on, however slow: for 99 % of the time the predicted error is "
         f"below {held}. A higher bound would be, or fewer features that keep the slicer's motion.",
-    )
-
-
-def _unchanged_moves(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
-    if not quicker.reverted.any():
-        return ()
-    moves = np.flatnonzero(quicker.reverted)
-    line = chunk.program.line_of(moves[0])
-    seconds = float(quicker.plan.duration[moves].sum())
-    return (
-        f"line {line}: {len(moves)} moves from here on ({seconds:.2g} s) keep the slicer's motion: no quicker one was "
-        "found that keeps the error under the bound.",
     )
 
 

@@ -229,15 +229,15 @@ class Ensemble:
 
         return float(norm.ppf(1.0 - 0.5 * self.safety))
 
-    def errors(
-        self, written: WrittenReference, solution: Solution, path: tuple[FloatArray, FloatArray]
-    ) -> tuple[FloatArray, ShortArray]:
-        """Return contour errors every `EVERY` substeps: the file's printer's (m,) mm, and changes (k, m, 3) mm.
+    @property
+    def step_s(self) -> float:
+        """Time between two moments, s."""
+        return SUBSTEP_STRIDE * self.model.settings.segment_s / self.model.settings.substeps
 
-        path : when its corners are due, and where they are
-        """
+    def errors(self, written: WrittenReference, solution: Solution) -> tuple[FloatArray, ShortArray]:
+        """Return contour errors at the moments: the file's printer's (m,) mm, and changes (k, m, 3) mm."""
         at = slice(SUBSTEP_STRIDE - 1, None, SUBSTEP_STRIDE)
-        nominal = contour_error(*path, self.times(written, solution), solution.response[at])
+        nominal = contour_error(*written.reference.path(), self.times(written, solution), solution.response[at])
         changes = [change[at] for change in self._changes(written, solution)]
         if not changes:
             return nominal, np.empty((0, len(nominal), 3), np.float32)
@@ -245,9 +245,8 @@ class Ensemble:
 
     def times(self, written: WrittenReference, solution: Solution) -> FloatArray:
         """Return when the errors of `errors` are, (m,) s on the plan's clock."""
-        s = self.model.settings
         count = len(solution.response) // SUBSTEP_STRIDE
-        return np.asarray(written.reference.t0 + SUBSTEP_STRIDE * (1.0 + np.arange(count)) * (s.segment_s / s.substeps))
+        return np.asarray(written.reference.t0 + self.step_s * (1.0 + np.arange(count)))
 
     def _changes(self, written: WrittenReference, solution: Solution) -> Iterator[FloatArray]:
         """Yield what changes across the path, (m, 3) mm after every substep, in each direction."""

@@ -36,7 +36,6 @@ class FasterProgram:
 
     program: Program
     plan: Trajectory  # of the slicer's moves
-    reverted: BoolArray  # (n,) moves that keep the slicer's motion because nothing quicker keeps the bound
     actuator_limit_s: float  # what the moves take at least
     limited_by: dict[str, float]  # s of the quicker plan, by what limits it
     free: BoolArray  # (n,) moves that do not keep the slicer's motion
@@ -68,7 +67,7 @@ def faster_program(
     if bound.keeps_first_layer:
         kept = kept | (layer == 0)
     ceiling = raised_limits(moves, named, kept, bound, model.machine, limits)
-    quicker, reverted, still_s = ceiling.moves, np.zeros(len(moves), dtype=np.bool_), plan.end_t
+    quicker, still_s = ceiling.moves, plan.end_t
     ensemble, searches = ensemble_of(model, bound.safety), list[tuple[slice, SectionSearch]]()
     for section in split_sections(plan, stop_before):
         part = slice(section.first, section.last)
@@ -79,17 +78,15 @@ def faster_program(
     p99 = search([each for _, each in searches], still_s)
     for part, each in searches:
         quicker = _with(quicker, part, each.moves)
-        reverted[part] = each.reverted
     quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
     shortest_s = SHORTEST_LAYER_S if bound.min_layer_time_s is None else bound.min_layer_time_s
-    as_sliced = ceiling.kept | reverted
-    quicker, cooled = _cooled(quicker, ~as_sliced, layer, plan, quick, shortest_s)
+    quicker, cooled = _cooled(quicker, ~ceiling.kept, layer, plan, quick, shortest_s)
     if cooled.any():
         quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
-    shares = time_by_limit(quick, quicker, ceiling, as_sliced, cooled, quick.end_t)
+    shares = time_by_limit(quick, quicker, ceiling, cooled, quick.end_t)
     least_s = actuator_limit_s(ceiling, model.machine, limits, stop_before, wait_before)
     own = replace(program, moves=quicker, flavor=KLIPPER)  # its motion is ours: no other firmware plans what is raised
-    return FasterProgram(own, plan, reverted, least_s, shares, ~as_sliced, p99)
+    return FasterProgram(own, plan, least_s, shares, ~ceiling.kept, p99)
 
 
 def _with(moves: Moves, part: slice, replacement: Moves) -> Moves:
@@ -150,16 +147,16 @@ BINDING = 0.98  # of a limit: it binds
 
 
 def time_by_limit(
-    plan: Trajectory, moves: Moves, ceiling: RaisedLimits, as_sliced: BoolArray, cooled: BoolArray, seconds: float
+    plan: Trajectory, moves: Moves, ceiling: RaisedLimits, cooled: BoolArray, seconds: float
 ) -> dict[str, float]:
     """Return the time of the quicker motion that goes to each limit, s; together all of it.
 
     Parameters
     ----------
-    as_sliced, cooled : (n,) moves that keep the slicer's motion, and that are slowed down for a layer too short
+    cooled : (n,) moves that are slowed down for a layer too short
     seconds : of the whole plan, waits included
     """
-    alone = ~np.any(plan.direction[:, :3] != 0.0, axis=1)
+    alone, as_sliced = ~np.any(plan.direction[:, :3] != 0.0, axis=1), ceiling.kept
     kept, free = as_sliced & ~alone, ~as_sliced & ~alone & ~cooled
     ramps, cruise = plan.accel_t + plan.decel_t, plan.cruise_t
     at_top = plan.cruise_v >= BINDING * ceiling.moves.speed
