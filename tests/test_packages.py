@@ -16,12 +16,12 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.errors import EXTRAS, PACKAGE_NAMES, not_installed
+from ffcomp.errors import EXTRAS, not_installed
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 OPTIONAL = PROJECT["optional-dependencies"]
-BROUGHT = {"distributed", "llvmlite", "pybgcode", "click", "markupsafe"}  # by others of them, or under another name
+BROUGHT = {"distributed", "llvmlite", "pil", "pybgcode", "click", "markupsafe"}  # by others, or under another name
 LATER = {"pandas"}  # told of where it is needed, and in no extra: who wants a table has it
 
 WITH_BASH = pytest.mark.skipif(sys.platform == "win32", reason="a script for bash")
@@ -51,13 +51,13 @@ def test_what_is_imported_is_installed_by_the_base_or_an_extra() -> None:
     )
     known = names(PROJECT["dependencies"]) | extras | BROUGHT | LATER
     imports = imported("gcode", "models", "ffcomp")
-    assert {PACKAGE_NAMES.get(name, name).lower() for name in imports} <= known
+    assert {name.lower() for name in imports} <= known
 
 
 @pytest.mark.parametrize("package", EXTRAS)
 def test_each_extra_that_is_named_has_its_package(package: str) -> None:
     extra, _ = EXTRAS[package]
-    installed = PACKAGE_NAMES.get(package, package)
+    installed = {"PIL": "pillow"}.get(package, package)
     assert installed in names(OPTIONAL[extra])
     assert extra == "jit" or installed not in names(PROJECT["dependencies"])  # which a wheel may do without
     assert f"pip install 'ffcomp[{extra}]'" in str(not_installed(package))
