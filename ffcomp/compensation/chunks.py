@@ -208,7 +208,7 @@ class _Known:
 
 def _with(moves: Moves, first: int, slower: Moves) -> Moves:
     changed = {}
-    for name in ("speed", "acceleration", "square_corner_velocity"):
+    for name in ("speed", "acceleration", "square_corner_velocity", "minimum_cruise_ratio"):
         column = getattr(moves, name).copy()
         column[first : first + len(slower)] = getattr(slower, name)
         changed[name] = column

@@ -27,8 +27,6 @@ from gcode.program import MACHINE_LIMITS, LimitCommand, Moves, Program
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 
-_XYZE = "XYZE"
-
 
 @dataclass(frozen=True, slots=True)
 class SettingsInForce:
@@ -37,7 +35,6 @@ class SettingsInForce:
     lines: IntArray  # (k,) rising
     rows: FloatArray  # (k, COLUMNS)
     as_read: FloatArray  # (k, 3) mm/s², mm/s², mm/s: P, T and corner of the file as `Moves` has them; NaN: not set
-
     limits: PlannerLimits  # the machine's own where the file has set nothing
 
     @classmethod
@@ -70,9 +67,11 @@ class SettingsInForce:
         asked = np.where(np.isnan(asked), self.limits.acceleration_mm_per_s2, asked)
         # time scaling begins with what a move's axes allow, which its block keeps to as well
         allowed = bounds_of(replace(moves, acceleration=asked), lines_of(moves), self.limits).acceleration
-        gentler = np.fmin(moves.acceleration / np.minimum(allowed, asked), 1.0)
+        allowed = np.minimum(allowed, asked)
+        gentler = np.fmin(moves.acceleration / allowed, 1.0)
         rows[:, SCALE] = gentler
         corner = np.where(np.isnan(corner), self.limits.square_corner_velocity_mm_per_s, corner)
+        corner = np.where(gentler < 1.0, corner * np.sqrt(allowed / asked), corner)  # as time scaling wrote it
         slower = np.fmin(moves.square_corner_velocity / corner, 1.0)
         if (slower < 1.0).any():
             rows[:, JERK] *= slower[:, None]
@@ -117,4 +116,4 @@ def assumed_sentence(firmware: str, stated: Sequence[str], matter: Sequence[str]
 
 
 def _named(values: FloatArray, new: Mapping[str, float]) -> list[float]:
-    return [new.get(axis, old) for axis, old in zip(_XYZE, values.tolist(), strict=True)]
+    return [new.get(axis, old) for axis, old in zip("XYZE", values.tolist(), strict=True)]

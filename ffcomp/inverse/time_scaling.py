@@ -248,8 +248,7 @@ class ScaledSection:
 
     def _free(self) -> Command:
         """Solve on the plan as it stands, without limits."""
-        settings = self.model.settings
-        written = self.extent.written(self.plan, self.section, settings)
+        written = self.extent.written(self.plan, self.section, self.model.settings)
         (offset,) = self.model.robust_offsets([written.reference])
         written.reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
@@ -261,11 +260,9 @@ class ScaledSection:
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
-        slower = np.zeros(len(self.moves), dtype=np.bool_)
-        slower[list(self.reasons)] = True
         t = reference.t0 + (np.arange(reference.knots, dtype=np.float64) + 0.5) * self.model.settings.segment_s
         within = np.clip(t, self.section.begin_t, self.section.end_t - 1e-9)
-        return np.asarray(slower[self.plan.move_at(within)])
+        return np.isin(self.plan.move_at(within), list(self.reasons))
 
     def _attempt(self, tolerance_mm: float, command: Command) -> tuple[WrittenReference, Solution, list[Violation]]:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
@@ -309,8 +306,7 @@ class ScaledSection:
                 )
 
     def _line_of(self, reference: Reference, violation: Violation) -> str:
-        touched = self._touched(reference, violation)
-        return f"line {self.program.first_line + int(self.moves.line[touched[0]]) + 1}"
+        return f"line {self.program.first_line + int(self.moves.line[self._touched(reference, violation)[0]]) + 1}"
 
     def _touched(self, reference: Reference, violation: Violation, reach: int = 0) -> IntArray:
         """Return the moves under way from a segment before the violation to one after it; at least one.
@@ -359,8 +355,12 @@ class ScaledSection:
         """Scale the moves' top speeds, accelerations and corners by factors (n,)."""
         moves, limits = self.moves, self.request.replanner.limits
         bounds = bounds_of(moves, lines_of(moves), limits)
-        set_corner = moves.square_corner_velocity
+        set_corner, set_acceleration, gentler = moves.square_corner_velocity, moves.acceleration, by_acceleration < 1.0
         corner = np.where(np.isnan(set_corner), limits.square_corner_velocity_mm_per_s, set_corner)
+        asked = np.where(np.isnan(set_acceleration), limits.acceleration_mm_per_s2, set_acceleration)
+        # where Z allows less than is set, Klipper's corners and cruising follow the one that is set
+        by_corner = by_corner * np.where(gentler, np.sqrt(np.minimum(bounds.acceleration / asked, 1.0)), 1.0)
+        ratio = np.where(gentler, 1.0 - bounds.smooth_acceleration / bounds.acceleration, moves.minimum_cruise_ratio)
         plan = self.plan  # its moves are fastest in the middle of their cruising
         within = np.nextafter(plan.start_t + plan.duration, -np.inf)
         velocity = plan.velocity(np.minimum(plan.start_t + plan.accel_t + 0.5 * plan.cruise_t, within))[:, :3]
@@ -368,14 +368,14 @@ class ScaledSection:
         return replace(
             moves,
             speed=np.where(by_speed < 1.0, np.minimum(moves.speed, top), moves.speed),
-            acceleration=np.where(by_acceleration < 1.0, bounds.acceleration * by_acceleration, moves.acceleration),
+            acceleration=np.where(gentler, bounds.acceleration * by_acceleration, set_acceleration),
             square_corner_velocity=np.where(by_corner < 1.0, corner * by_corner, set_corner),
+            minimum_cruise_ratio=ratio,
         )
 
     def _steady(self, reference: Reference, violation: Violation) -> bool:
         """Return whether the nozzle keeps its speed throughout: then it is speed that demands acceleration."""
-        knots = np.arange(violation.first - 1, violation.last + 3)
-        t = reference.t0 + knots * self.model.settings.segment_s
+        t = reference.t0 + np.arange(violation.first - 1, violation.last + 3) * self.model.settings.segment_s
         speed = np.sqrt((self.plan.velocity(t)[:, :3] ** 2).sum(axis=1))
         return bool(np.ptp(speed) <= STEADY * speed.max())
 

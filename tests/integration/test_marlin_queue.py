@@ -70,20 +70,20 @@ def test_slow_lifts_are_late_rather_than_slower(robust: bool) -> None:
     machine = load_machine("ender-3")
     options = plainly(predict=False, flavor="marlin", robust="on" if robust else "off")
     stream = Job("\n".join(lines).encode(), "lifts", machine, options).lines()
-    for _ in stream:
-        pass
+    assert len(b"".join(stream))
     found = stream.value.statistics
     assert not found.slowed
     assert found.print_time_s < 1.035 * found.original_print_time_s
 
 
-def test_a_purge_line_that_descends_keeps_nearly_its_speed() -> None:
+@pytest.mark.parametrize(("flavor", "most_s"), [("marlin", 0.6), ("klipper", 0.2)])  # of 5.6 s
+def test_a_purge_line_that_descends_keeps_nearly_its_speed(flavor: str, most_s: float) -> None:
     """Z's own acceleration limits the ramps, and Z stops at the corner: both are slowed there, and only there."""
     lines = b"G90\nM83\nG28\nM201 X4000 Y4000 Z200\nM204 P4000 T4000\nM205 X8 Y8 Z2 E10\nG0 X0 Y-4 Z15 F4800\n"
     lines += b"G0 E7 X15 Z0.2 F500\nG0 X25 E4\nG0 X35 E4 F650\nG0 X45 E4\nG0 X48 Z0.05 F8000\nG0 X51 Z0.2\n"
-    stream = Job(lines, "purge", load_machine("prusa-mk4"), CompensateOptions(flavor="marlin", predict=False)).lines()
+    stream = Job(lines, "purge", load_machine("prusa-mk4"), CompensateOptions(flavor=flavor, predict=False)).lines()
     assert len(b"".join(stream))
-    assert sum(each.seconds for each in stream.value.statistics.slowed) < 0.6  # of 5.6 s
+    assert sum(each.seconds for each in stream.value.statistics.slowed) < most_s
 
 
 def test_a_long_lift_of_a_delta_keeps_its_speed() -> None:
