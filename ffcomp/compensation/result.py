@@ -312,7 +312,7 @@ class CompensatedFile(VerbResult):
             was, now = (result.predicted[name] for name in WAYS)
             yield "If the machine file is exact", result.forecast.exact
             late = late_line(sum(each.seconds for each in numbers.slowed))
-            yield "Tracking error", f"{um(was.tracking_rms_um)} → {um(now.tracking_rms_um)} µm rms. {late}".rstrip()
+            yield "Tracking error", f"{um(was.tracking_rms_um)} → {um(now.tracking_rms_um)} µm rms{late}"
             peaks = (each.peak_command_acceleration_mm_per_s2 / 1e3 for each in (was, now))
             yield "Peak acceleration of a motor", "{:.1f} → {:.1f} m/s²".format(*peaks)
         was_s, now_s = numbers.original_print_time_s, numbers.print_time_s
@@ -398,7 +398,7 @@ def late_line(seconds: float) -> str:
         return ""
     late = f"{1e3 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
     return (
-        f"The tracking error includes the delay of up to {late} where the print was slowed down; the part does not "
+        f". The tracking error includes the delay of up to {late} where the print was slowed down; the part does not "
         "show it. The contour error is the distance from the path."
     )
 
