@@ -109,7 +109,5 @@ def gap_of(problem: Problem) -> Discrepancy:
 
 
 def _notes(repeats: Sequence[Repeats]) -> list[str]:
-    late = [
-        f"{each.late()}; they were moved onto each other before they were compared." for each in repeats if each.apart
-    ]
+    late = [f"{each.late()}; they were aligned before they were compared." for each in repeats if each.apart]
     return [*late, *(each.trouble() for each in repeats if each.differ)]

@@ -89,9 +89,10 @@ class ResidualBreakdown:
         """Where most of the excess is: bands, places, reversals."""
         bands = sorted(self.bands, key=lambda band: -band[2])[:MOST_SHOWN]
         places = sorted(self.places, key=lambda place: -place[2])[:MOST_SHOWN]
-        shares = ", ".join(f"{low:g}-{high:g} Hz {100 * x:.0f} %" for low, high, x in bands if x >= 0.005)
-        facts = [("Bands", shares), *((name, f"{100 * share:.0f} %") for _, name, share in places)]
-        return [*facts, ("Near reversals and at rest", f"{100 * self.near_reversals:.0f} %")]
+        of_bands = ", ".join(f"{low:g}-{high:g} Hz {100 * x:.0f} %" for low, high, x in bands if x >= 0.005)
+        of_places = ", ".join(f"{name} {100 * x:.0f} %" for _, name, x in places if x >= 0.005)
+        slow = ("Excess near reversals and at rest", f"{100 * self.near_reversals:.0f} %")
+        return [("Excess by frequency", of_bands), ("Excess by place", of_places), slow]
 
 
 def locate_residual(
