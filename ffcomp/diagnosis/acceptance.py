@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, superfluous
-from ffcomp.diagnosis.held_out import HeldOut, to_explain
-from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis
+from ffcomp.diagnosis.held_out import HeldOut, left_of
+from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.identification.uncertainty import Estimate
 
@@ -39,13 +39,8 @@ def rejections(
         left = sum(max(one.after, 0.0) * one.rows for one in held_out)
         if gained < settings.significant:
             failed.append("data left out of the fit are simulated no better with it")
-        elif left / rows > estimation.tolerance and (share := left / max(to_explain(held_out), 1e-300)) > settings.left:
+        elif left / rows > estimation.tolerance and (share := left_of(held_out)) > settings.left:
             failed.append(f"{100 * share:.0f} % of the discrepancy is left where it was left out of the fit")
-    if len(best.effects) == settings.most_effects and set(best.names) <= FILE_CHANGES:
-        failed.append(
-            "three of the machine file's own numbers would have to be far off at once, as in the file of another "
-            "machine: measure this one (ffcomp identify)"
-        )
     failed += unfounded(best, intervals)
     for candidate in best.effects:
         if superfluous(candidate, intervals):
@@ -54,13 +49,14 @@ def rejections(
 
 
 def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
-    """Name the effects without a determined pitch or frequency: nothing shows that they repeat, or swing.
+    """Name the effects without a determined pitch, frequency or damping: nothing shows that they repeat, or swing.
 
-    A mode that swings far below the band is a mass that stays behind, and stands in for whatever asks for a gain.
+    A mode that swings far below the band is a mass that stays behind, and stands in for whatever asks for a gain; one
+    that is damped as much as its limit creeps, as belts do.
     """
     return [
         f"{name.removeprefix('effects.')} is not determined, so nothing shows that it {does}"
-        for does, key in (("repeats", ".pitch_mm"), ("swings", ".frequency_hz"))
+        for does, key in (("repeats", ".pitch_mm"), ("swings", ".frequency_hz"), ("swings", ".damping_ratio"))
         for name in [n for n in undetermined(best, intervals) if key in n][:1]
     ]
 
@@ -75,9 +71,3 @@ def _open(n: Parameter, interval: Estimate) -> bool:
     at_low = n.low != 0.0 and np.isfinite(n.low) and interval.value <= n.low + AT_BOUND * abs(n.low)
     wide = n.high - n.low > NARROW * max(abs(n.low), abs(n.high))  # a line's pitch is sought close to where it was seen
     return at_high or at_low or (wide and interval.low <= n.low and interval.high >= n.high)
-
-
-def unproven(estimation: EstimationProblem, held_out: Sequence[HeldOut]) -> list[HeldOut]:
-    """Return what was left out and is not explained: an effect is unproven there."""
-    settings = estimation.settings
-    return [one for one in held_out if one.after > max(settings.left * one.before, estimation.tolerance)]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import rejections, unproven
+from ffcomp.diagnosis.acceptance import rejections
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
     QUICK_GAIN,
@@ -88,7 +88,8 @@ class Diagnosis:
     @property
     def unproven(self) -> list[HeldOut]:
         """The places left out of the fit that are not explained there."""
-        return [] if self.best is None else unproven(self.estimation, self.held_out)
+        share, least = self.estimation.settings.left, self.estimation.tolerance
+        return [one for one in self.held_out if self.best and one.after > max(share * one.before, least)]
 
     def behind(self, h: Hypothesis) -> float:
         """Return by how much −2 ln Z of all data is larger for a hypothesis that was tried than for the best."""

@@ -34,6 +34,7 @@ KEPT = 48  # residuals of the last values: a fit begins where the one before has
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
 STEP = 0.01  # of a prior's standard deviation, for differences
 LEAST_GAIN, SMALL_GAIN = 0.3, 1e-7  # of |r|², times φ; of what stands above the noise: a fit ends with less to gain
+FORMULA_ERROR = 0.04  # of an effect's size, however loud it is: plants with other formulas than ours scatter so
 DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
 
 
@@ -399,6 +400,8 @@ def intervals_of(
     sd = np.sqrt(np.diag(fitted.covariance(whiten.frequencies(), whiten.rows, same)))
     if scatter:
         sd = np.maximum(sd, fitted.scatter(whiten.rows, same))
+    sizes = ~believed(fitted.parameters) & np.array([n.start == 0.0 for n in fitted.parameters])
+    sd = np.hypot(sd, FORMULA_ERROR * np.where(sizes, fitted.z, 0.0))
     return {
         n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
         for n, s in zip(fitted.parameters, sd, strict=True)

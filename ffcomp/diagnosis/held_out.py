@@ -39,7 +39,8 @@ class HeldOut:
     after: float  # with the effects as well
     filed: float = np.inf  # with the original file
     signal: float = np.inf  # with nothing simulated at all
-    power: tuple[float, ...] = ()  # in the band: of the error with the file as it is, with the effects; of the signals
+    # in the band: of the error with the file as it is, and with the effects; of the signals; of the noise
+    power: tuple[float, ...] = ()
 
     @property
     def label(self) -> str:
@@ -89,7 +90,7 @@ def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOu
     for ((position, experiment), members), before, after in each:
         filed = estimation.problem.simulate({}, members)
         nothing = [np.zeros_like(y) for y in filed]
-        power = tuple(_power(estimation, y, members) for y in (filed, after, nothing))
+        power = [_power(estimation, y, members) for y in (filed, after, nothing)]
         left_out.append(
             HeldOut(
                 position,
@@ -99,7 +100,7 @@ def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOu
                 after=excess(estimation, after, members),
                 filed=excess(estimation, filed, members),
                 signal=excess(estimation, nothing, members),
-                power=power,
+                power=(*power, _noise_power(estimation, members)),
             )
         )
     return left_out
@@ -235,6 +236,16 @@ def excess(estimation: EstimationProblem, simulated: Sequence[FloatArray], membe
     return float(left @ left) / len(left) - 1
 
 
+def left_of(held_out: Sequence[HeldOut]) -> float:
+    """Return the share of it that is left, in units of the noise or of the signals, whichever is larger.
+
+    Where one band is loud or quiet by far, one of the two is blind to all others.
+    """
+    white = sum(max(one.after, 0.0) * one.rows for one in held_out) / max(to_explain(held_out), 1e-300)
+    filed, after, signals, noise = np.sum([one.power for one in held_out], axis=0)
+    return max(white, float(max(after - noise, 0.0) / max(min(filed, signals) - noise, 1e-300)))
+
+
 def to_explain(held_out: Sequence[HeldOut]) -> float:
     """Return how much there is to explain where it was left out: by the better of the file and of retuning.
 
@@ -243,30 +254,18 @@ def to_explain(held_out: Sequence[HeldOut]) -> float:
     return min(sum(max(getattr(one, key), 0.0) * one.rows for one in held_out) for key in ("before", "filed", "signal"))
 
 
-def explained_elsewhere(held_out: Sequence[HeldOut]) -> float:
-    """Return the share of it that a hypothesis explains; windows and places weigh what there is to explain in them."""
-    whole = to_explain(held_out)
-    return 1 - sum(max(one.after, 0.0) * one.rows for one in held_out) / whole if whole > 0 else 0.0
-
-
 def _power(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
     """Power of the error, not whitened."""
-    observations = [estimation.problem.observations[i] for i in members]
-    parts = [
-        estimation.whiten.spectrum(observation, observation.measured - y)[0]
-        for observation, y in zip(observations, simulated, strict=True)
-    ]
-    return float(sum(np.sum(np.abs(part) ** 2) for part in parts))
+    each = [estimation.problem.observations[i] for i in members]
+    parts = [estimation.whiten.band_power(o, o.measured - y) for o, y in zip(each, simulated, strict=True)]
+    return float(np.sum(np.concatenate(parts)))
 
 
 def _noise_power(estimation: EstimationProblem, members: Sequence[int]) -> float:
     """Power of the floor alone, in the same unit."""
-    whiten, total = estimation.whiten, 0.0
-    for observation in (estimation.problem.observations[i] for i in members):
-        _, frequency = whiten.spectrum(observation, observation.measured)
-        power = 2 * whiten.power(observation)
-        total += sum(float(np.sum(whiten.floor.at(s, frequency))) * power for s in observation.signals)
-    return total
+    whiten = estimation.whiten
+    parts = [whiten.noise_power(estimation.problem.observations[i], whiten.floor) for i in members]
+    return float(np.sum(np.concatenate(parts)))
 
 
 # ---- other motions ---------------------------------------------------------------------------------

@@ -192,11 +192,10 @@ def _powers(whiten: Whitener, floor: NoiseFloor) -> dict[str, tuple[float, float
     """Return for each signal the power inside the band of what was measured, and of its noise."""
     powers: dict[str, tuple[float, float]] = {}
     for o in whiten.observations:
-        spectrum, frequency = whiten.spectrum(o, o.measured)
-        for name, line in zip(o.signals, spectrum, strict=True):
-            signal, noise = powers.get(name, (0.0, 0.0))
-            loud = float(np.sum(floor.at(name, frequency))) * 2 * whiten.power(o)
-            powers[name] = signal + float(np.sum(np.abs(line) ** 2)), noise + loud
+        both = zip(whiten.band_power(o, o.measured).tolist(), whiten.noise_power(o, floor).tolist(), strict=True)
+        for name, (signal, noise) in zip(o.signals, both, strict=True):
+            before = powers.get(name, (0.0, 0.0))
+            powers[name] = before[0] + signal, before[1] + noise
     return powers
 
 
@@ -297,6 +296,15 @@ class Whitener:
     def spectrum(self, observation: Observation, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Transform the faded signals (n, m): (m, k) inside the band, and (k,) Hz."""
         return self._transformed(observation, x.T), lines(observation, self.band_hz)[0]
+
+    def band_power(self, observation: Observation, x: FloatArray) -> FloatArray:
+        """Return the power inside the band of each signal of x (n, m), not whitened: (m,)."""
+        return np.asarray(np.sum(np.abs(self.spectrum(observation, x)[0]) ** 2, axis=1))
+
+    def noise_power(self, observation: Observation, floor: NoiseFloor) -> FloatArray:
+        """Return the power inside the band of each signal's noise, in the same unit: (m,)."""
+        frequency, power = lines(observation, self.band_hz)[0], 2 * self.power(observation)
+        return np.array([power * float(np.sum(floor.at(name, frequency))) for name in observation.signals])
 
     def frequencies(self) -> FloatArray:
         """Return the frequency of every entry of the vector, (rows,) Hz."""

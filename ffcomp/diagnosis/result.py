@@ -307,7 +307,7 @@ class DiagnosisResult:
         before, after = (each.total for each in self.residuals)
         held_out, elsewhere = self.search.held_out, (before.noise_nrms, before.noise_nrms)
         if held_out:  # each left out of the fit in turn
-            filed, fitted, signals = np.sum([place.power for place in held_out], axis=0)
+            filed, fitted, signals, _ = np.sum([place.power for place in held_out], axis=0)
             elsewhere = float(np.sqrt(filed / signals)), float(np.sqrt(fitted / signals))
         return Gap(before=before, after=after, elsewhere=elsewhere, left_out=self._left_out)
 

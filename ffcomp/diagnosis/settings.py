@@ -34,7 +34,7 @@ class SearchSettings:
     reshaped_share: float = _setting(0.1, "of the discrepancy", "what a freer shape of an effect removes at least")
     trace: float = _setting(1e-2, "of the discrepancy", "what an effect's formula may leave: a tenth of its amplitude")
     # ---- breadth of the search ----
-    most_effects: int = _setting(3, "effects", "that are named at once")
+    most_effects: int = _setting(2, "effects", "that are named at once")
     width: int = _setting(3, "hypotheses", "of a level that are fitted fully, and expanded")
     tried: int = _setting(5, "effects", "that are fitted next to each hypothesis")
     starts: int = _setting(2, "sizes", "of each, from which it is fitted")
@@ -46,7 +46,7 @@ class SearchSettings:
     excerpt_information: float = _setting(3000.0, "χ²", "of a discrepancy in an excerpt that decides as all data do")
     coarse_error: float = _setting(1e-3, "of |r|²", "error of coarse simulations, at most")
     # ---- acceptance ----
-    left: float = _setting(0.15, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
+    left: float = _setting(0.05, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
     dominant: float = _setting(0.6, "of the discrepancy", "what one effect explains elsewhere, to be named with a rest")
     ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
     signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")

@@ -114,9 +114,8 @@ def locate_residual(
 
 def _powers(whiten: Whitener, floor: NoiseFloor, o: Observation, simulated: FloatArray) -> FloatArray:
     """Return the powers in the band of error, noise and measurement of each signal, (m, 3)."""
-    (error, frequency), (measured, _) = whiten.spectrum(o, o.measured - simulated), whiten.spectrum(o, o.measured)
-    noise = [2 * whiten.power(o) * float(np.sum(floor.at(name, frequency))) for name in o.signals]
-    return np.column_stack([np.sum(np.abs(error) ** 2, axis=1), noise, np.sum(np.abs(measured) ** 2, axis=1)])
+    error, measured = (whiten.band_power(o, x) for x in (o.measured - simulated, o.measured))
+    return np.column_stack([error, whiten.noise_power(o, floor), measured])
 
 
 def _size(powers: FloatArray) -> ResidualSize:
@@ -330,7 +329,7 @@ def _curve(
     if len(edges) < FEWEST:
         return None
     group = np.clip(np.searchsorted(edges, quantity, "right") - 1, 0, len(edges) - 2)
-    members = [np.flatnonzero(group == b) for b in range(len(edges) - 1)]
+    members = [np.flatnonzero(group == b) for b in np.unique(group)]
     bins = np.array([_mean_and_error(quantity[m], residual[m], cluster[m], noise) for m in members])
     rows, at = np.array([(len(m), quantity[m].mean()) for m in members]).T
     kept = np.isfinite(bins[:, 1])

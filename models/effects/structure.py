@@ -33,7 +33,7 @@ FRAME_MODE = Effect(
     parameters=(
         amplitude("mass_kg", "M_f: everything that sways except the effector", (0.1, 1e4), (3, 100), 50.0, power=-1),
         shape("frequency_hz", "ω/2π, with the effector off", (0.5, 500), (5, 60), 1.0),
-        shape("damping_ratio", "ζ", (0, 2), (0.01, 0.1), 0.01),
+        shape("damping_ratio", "ζ", (0, 1), (0.01, 0.1), 0.01),
         shape("direction", "'x', 'y', 'both' alike, or a unit vector", (-1, 1), (-1, 1), 0.1, "direction"),
     ),
     in_data="A peak and a dip in one horizontal direction, at the same frequency all over the bed.",
@@ -87,7 +87,7 @@ GANTRY_RACKING = Effect(
             2.0,
             starts=(60.0, 22.0, 30.0, 41.0, 80.0, 110.0),
         ),
-        shape("damping_ratio", "ζ", (0, 2), (0.02, 0.12), 0.01),
+        shape("damping_ratio", "ζ", (0, 1), (0.02, 0.12), 0.01),
         shape("x_centre_mm", "x_c: the gantry's middle", (-1000, 1000), (0, 300), 5.0, "scalar"),
         shape(
             "tool_share",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
@@ -13,7 +16,6 @@ from ffcomp.diagnosis.recording_faults import clipped_sensor, fault_of_recording
 from ffcomp.measurement.faults import BadSensor, ShaperOn
 from ffcomp.numerics.delay import delayed
 from ffcomp.shapers.smooth import SHAPERS
-from tests.unit.ffcomp.diagnosis.test_work import Line
 
 RATE_HZ, N, NOISE = 1600.0, 2400, 0.05
 SIGNALS = ("acc_x", "acc_y", "acc_z")
@@ -35,7 +37,8 @@ def problem(*measured: np.ndarray) -> EstimationProblem:
     grid = np.array([0.0, RATE_HZ / 2])
     floor = NoiseFloor(grid, {s: np.full(2, 2 * NOISE**2 / RATE_HZ) for s in SIGNALS}, True)
     whiten = whitener(seen, floor, (1.0, 200.0))
-    return EstimationProblem(Line(), whiten, whiten(noisy))
+    by_position: Any = SimpleNamespace(commanded=True)
+    return EstimationProblem(by_position, whiten, whiten(noisy))
 
 
 def left(estimation: EstimationProblem, simulated: list[np.ndarray]) -> Fit:

@@ -1,0 +1,53 @@
+"""What a hypothesis must pass: little left in both units, modes that swing; and how well a size is known at best."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.acceptance import unfounded
+from ffcomp.diagnosis.fit import FORMULA_ERROR, Fit, intervals_of
+from ffcomp.diagnosis.held_out import HeldOut, left_of
+from ffcomp.diagnosis.hypotheses import Hypothesis
+from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
+
+MASS = Parameter("effects.frame_mode.mass_kg", 0.0, 0.1, 0.0, 10.0)
+DAMPING = Parameter("effects.frame_mode.damping_ratio", 0.03, 0.05, 0.0, 1.0)
+ROWS = 400
+
+
+def frame_mode(z: tuple[float, float]) -> Hypothesis:
+    rng = np.random.default_rng(1)
+    fitted = Fit((MASS, DAMPING), np.array(z), rng.standard_normal(ROWS), 1e4 * rng.standard_normal((ROWS, 2)))
+    return Hypothesis((Candidate("frame_mode", (MASS,), {MASS.name: 1.0}, (DAMPING,)),), fitted)
+
+
+def test_what_is_left_counts_in_units_of_noise_and_of_signals() -> None:
+    """A stiff belt took the loud line away, 6 % of |r|² was left, and 40 % of the motion's power: it was named."""
+    place = {"position": (0.0, 0.0), "experiment": "", "rows": 100, "before": 1000.0, "filed": 1000.0}
+    loud_line = HeldOut(**place, after=60.0, power=(1.0, 0.41, 1.2, 0.01))
+    assert left_of([loud_line]) == pytest.approx(0.40 / 0.99)
+    loud_noise = HeldOut(**place, after=400.0, power=(1.0, 0.07, 1.2, 0.01))
+    assert left_of([loud_noise]) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("ratio", "refused"), [(0.06, False), (1.0, True)])
+def test_a_mode_that_is_damped_as_much_as_it_can_be_does_not_swing(ratio: float, refused: bool) -> None:
+    h = frame_mode((3.0, (ratio - DAMPING.start) / DAMPING.sd))
+    intervals = {n.name: Estimate(x, 0.01, x - 0.01, x + 0.01) for n, x in ((MASS, 0.3), (DAMPING, ratio))}
+    found = unfounded(h, intervals)
+    assert bool(found) == refused
+    assert all("frame_mode.damping_ratio" in each and "swings" in each for each in found)
+
+
+def test_an_effects_size_is_never_known_better_than_its_formula() -> None:
+    h = frame_mode((3.0, 1.0))
+    whiten: Any = SimpleNamespace(frequencies=lambda: np.linspace(1, 200, ROWS), rows=[slice(0, ROWS)])
+    estimation: Any = SimpleNamespace(whiten=whiten, problem=SimpleNamespace(motions=[0]))
+    size, shape = (intervals_of(estimation, h.fit, h.fit.values)[n.name] for n in (MASS, DAMPING))
+    assert size.high - size.value == pytest.approx(NINETY_PERCENT * FORMULA_ERROR * size.value, rel=1e-3)
+    assert shape.high - shape.value < 1e-3 * shape.value
