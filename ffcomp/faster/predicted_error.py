@@ -55,7 +55,7 @@ def error_at_quantile(nominal: FloatArray, changes: ShortArray, scale: FloatArra
 
 
 def histogram(nominal: FloatArray, changes: ShortArray, scale: FloatArray) -> IntArray:
-    """Count moments by the printer and its error, (drawn, BINS); arguments as `at_quantile`."""
+    """Count moments by the printer and its error, (drawn, BINS); arguments as `error_at_quantile`."""
     return np.asarray(_histogram(np.ascontiguousarray(nominal), changes, scale, deviates_in(len(changes))))
 
 
