@@ -22,7 +22,7 @@ from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
 from ffcomp.identification.output_error import Fitted
 from ffcomp.identification.page.scan import ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, one_panel, plain_decades
+from ffcomp.report.drawing import AFTER, NOISE, RC, REFERENCE, SOFT, grid, one_panel, plain_decades
 from ffcomp.report.page import Page, Section, plain
 from ffcomp.responses.modes import modes_at
 from ffcomp.shapers.calibration import klipper_block
@@ -31,7 +31,7 @@ from models.arrays import ComplexArray, FloatArray
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # distinct for colour-blind readers
 WIDTH, LETTERS = 7.2, 88  # inches: readable on a phone; letters across the figure
-PAGE_COLUMNS, MAGNIFIED = 5, 20.0  # of a scan
+MAGNIFIED = 20.0  # the waves of a scan
 DOTS: dict[str, Any] = {"color": REFERENCE, "markersize": 3, "alpha": 0.55, "markeredgewidth": 0, "zorder": 3}
 
 
@@ -237,46 +237,36 @@ def _label(belts: BeltComparison, number: int) -> str:
 
 
 def page_figure(fit: ScanFit) -> Figure:
-    """Draw where the lines lie, their waves magnified, and below each line with the fit and the residual."""
-    result = fit.result
-    rows = -(-len(result.lines) // PAGE_COLUMNS)
-    places = list(dict.fromkeys(line.stroke.place for line in result.lines))
+    """Draw the page with its waves magnified, and the line whose waves are explained worst, with its residual."""
+    result, places = fit.result, list(dict.fromkeys(line.stroke.place for line in fit.result.lines))
+    drawn = list(zip(result.lines, result.seen, result.fitted, strict=True))
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(11.0, 5.4 + 1.15 * rows), dpi=110, layout="constrained")
-        figure.suptitle(
-            f"{fit.name}: {len(result.lines)} lines, {100 * result.explained:.0f} % of their waves explained",
-            x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND,
-        )  # fmt: skip
-        parts = figure.add_gridspec(rows + 1, PAGE_COLUMNS, height_ratios=[4.0, *[1.0] * rows])
-        page = figure.add_subplot(parts[0, :])
-        most = 1e3 * max(float(np.abs(seen).max()) for seen in result.seen)
-        for k, (line, seen, model) in enumerate(zip(result.lines, result.seen, result.fitted, strict=True)):
-            panel = figure.add_subplot(parts[1 + k // PAGE_COLUMNS, k % PAGE_COLUMNS])
-            panel.plot(line.s_mm, 1e3 * (seen - model), color=NOISE, lw=1.2, label="residual: best without waves")
-            for wave, colour, width, label in (
-                (seen, REFERENCE, 1.4, "the line in the picture"),
-                (model, AFTER, 0.9, "the fitted machine: should lie on it as long as it waves"),
-            ):
+        figure = Figure(figsize=(WIDTH, 9.0), dpi=200, layout="constrained")
+        figure.suptitle(f"{fit.name}\n{fill(fit.headline, LETTERS)}", x=0.01, ha="left", fontsize=10, parse_math=False)
+        page, panel = figure.subplots(2, 1, height_ratios=(2, 1))
+        for line, seen, model in drawn:
+            for wave, colour, width in ((seen, REFERENCE, 1.4), (model, AFTER, 0.9)):
                 page.plot(*line.line.at(line.s_mm, MAGNIFIED * wave).T, color=colour, lw=width)
-                panel.plot(line.s_mm, 1e3 * wave, color=colour, lw=width, label=label)
-            panel.set_ylim(-most, most)
-            speed, rings = float(line.stroke.motion.speed[-1]), "xy"[int(np.argmax(np.abs(line.line.across)))]
-            place = places.index(line.stroke.place) + 1
-            panel.set_title(f"place {place} · {rings} rings · {speed:.0f} mm/s", fontsize=7, color=SOFT)
-            panel.tick_params(labelsize=6)
-            if k == 0:
-                panel.set_xlabel("mm along the line", fontsize=6, color=SOFT)
-                panel.set_ylabel("µm across", fontsize=6, color=SOFT)
-                handles = panel.get_lines()
-            grid(panel)
         for number, place in enumerate(places, 1):
             lines = [line for line in result.lines if line.stroke.place == place]
             x, y = np.concatenate([line.line.at(line.s_mm) for line in lines]).max(axis=0)
             page.annotate(f"{number}", (x, y), (4, 4), textcoords="offset points", color=SOFT, fontweight="bold")
-        page.set_aspect("equal")
+        title = f"The page, waves {MAGNIFIED:.0f} times larger"
+        page.set(aspect="equal", xlabel="x, mm", ylabel="y, mm", title=title)
         page.margins(0.12)
-        page.set_xlabel("x, mm", fontsize=8, color=SOFT)
-        page.set_ylabel("y, mm", fontsize=8, color=SOFT)
-        page.set_title(f"the page, waves {MAGNIFIED:.0f} times larger · ffcomp {__version__}", fontsize=8, color=SOFT)
-        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles), fontsize=8, frameon=False)
+        line, seen, model = max(drawn, key=lambda each: float(np.mean((each[1] - each[2]) ** 2)))
+        for wave, colour, width, label in (
+            (seen - model, NOISE, 1.2, "residual: best without waves"),
+            (seen, REFERENCE, 1.8, "the line in the picture"),
+            (model, AFTER, 1.4, "the fitted machine: should lie on it as long as it waves"),
+        ):
+            panel.plot(line.s_mm, 1e3 * wave, color=colour, lw=width, label=label)
+        speed, rings = float(line.stroke.motion.speed[-1]), "xy"[int(np.argmax(np.abs(line.line.across)))]
+        title = (
+            f"The line that fits worst: place {places.index(line.stroke.place) + 1}, {rings} rings, {speed:.0f} mm/s"
+        )
+        panel.set(xlabel="along the line, mm", ylabel="across, µm", title=title)
+        panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), frameon=False, fontsize=8)
+        grid(panel)
+        figure.supxlabel(f"ffcomp {__version__}", fontsize=7, color=SOFT, x=0.01, ha="left")
     return figure
