@@ -59,7 +59,7 @@ FASTER, REACH = "A quicker print", "Who reaches it"
 GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order of the help
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, repr=False)
 class Option:
     """The description of an option, in addition to its field's name, type and default."""
 
