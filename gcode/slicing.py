@@ -89,7 +89,7 @@ def join(first: Program, second: Program) -> Program:
     later_moves = replace(later_moves, line=later_moves.line + lines, frame=later_moves.frame + frames)
     columns = (each.name for each in fields(Moves))
     both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(later_moves, name)]) for name in columns})
-    numbers = range(frames, 1 << 30)  # where frames do not matter there are none, whatever events say
+    numbers = range(frames, 1 << 30)  # also those of a program that keeps no frames
     later = data.shifted(second.events, lines, moves, numbers)
     return replace(
         first,
