@@ -56,6 +56,22 @@ def test_bombs_are_not_unpacked() -> None:
 # -- archives --
 
 
+@pytest.mark.parametrize(
+    ("content", "plate", "said"),
+    [
+        (archive_3mf(PRINT, OTHER), None, "plate_1.gcode, Metadata/plate_2.gcode; choose one with --plate N"),
+        (archive_3mf(PRINT, OTHER), 3, "there is no plate 3"),
+        (PRINT, 1, "one print, and no plates; there is no plate 1"),
+    ],
+)
+def test_one_plate_of_several_has_to_be_chosen(content: bytes, plate: int | None, said: str, tmp_path: Path) -> None:
+    (tmp_path / "two").write_bytes(archive_3mf(PRINT, OTHER))
+    assert read_bytes(tmp_path / "two", 2) == OTHER
+    (tmp_path / "two").write_bytes(content)
+    with pytest.raises(UnsupportedGcode, match=said):
+        read_bytes(tmp_path / "two", plate)
+
+
 @pytest.mark.parametrize("upper", [True, False])
 def test_an_archive_keeps_all_else_byte_for_byte(upper: bool) -> None:
     packed = archive_3mf(PRINT, PRINT, upper=upper)

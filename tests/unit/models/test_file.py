@@ -13,7 +13,7 @@ import pytest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from models.errors import MachineFileError
-from models.file import LIBRARY, entries, load_machine
+from models.file import LIBRARY, entries, load_machine, load_plant
 from models.kinds import delta_vibration
 from models.machine import ASSUMED, Machine, assumed_modes, way_to_measure
 
@@ -123,6 +123,39 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
 )
 def test_mistakes_in_optional_tables(problems, more: str, problem: str) -> None:
     assert any(problem in sentence for sentence in problems(more=more))
+
+
+BOX = 'format = "ffcomp-machine/1"\nname = "box"\nlimits = {velocity_mm_per_s = 200, acceleration_mm_per_s2 = 3000}\n'
+BOX += "kinematics = {type = 'corexy', x_range_mm = [0, 200], y_range_mm = [0, 200], z_range_mm = [0, 200]}\n[axes.x]\n"
+ONE, TWO = "frequency_hz = [40]\ndamping_ratio = [0.1]\n", "frequency_hz = [40, 80]\ndamping_ratio = [0.1, 0.1]\n"
+HARDENING = "[effects.belt_hardening]\ncubic_n_per_m3"
+STAGE = 'format = "ffcomp-machine/1"\nname = "stage"\nkinematics.type = "axis"\n[axis]\nmass_kg = 2\n'
+STAGE += "stiffness_n_per_m = 2e5\ndamping_n_s_per_m = 40\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (BOX + TWO, "axes.x.share is missing"),
+        (BOX + "frequency_hz = [40, 60]\ndamping_ratio = [0.1]\nshare = [0.5, 0.5]", "as many numbers each"),
+        (BOX + TWO + "share = [0.5, 0.4]", "must sum to 1"),
+        (BOX + TWO + "share = [1.3, -0.3]\nmount_frequency_hz = 90", "must lie between the frequencies of two modes"),
+        (BOX + ONE + "mass_kg = 0.4\n[axes.y]\n" + ONE, "axes.y.mass_kg is missing"),
+        (BOX + ONE + HARDENING + " = 1e9", "or give cubic_n_per_m3_per_kg"),
+        (BOX + ONE + "mass_kg = 0.4\n" + HARDENING + "_per_kg = 1e9", "use cubic_n_per_m3, because the axes state"),
+        (BOX + ONE + "[effects.joint_friction]\nforce_n_per_kg = 1", "they have no arms"),
+        (STAGE + 'input = "force"\ndrive.gain_v_per_m = 1', "a servo law follow a position"),
+        (STAGE + 'input = "voltage"\ndrive.resistance_ohm = 1', "belong together with a voltage input"),
+        (STAGE + 'input = "duty"\ndrive = {force_constant_n_per_a = 1, resistance_ohm = 1}', "supply_v is missing"),
+        (STAGE + 'input = "force"\ndrive.current_limit_a = 1', 'needs input = "current"'),
+        (STAGE + 'input = "position"\ndrive.hold = "steps"', "a position is a cubic spline"),
+        (STAGE + 'input = "position"\ndrive.rate_gain_v_s_per_m = 1', "needs axis.drive.gain_v_per_m"),
+    ],
+)
+def test_mistakes_in_straight_axes_and_in_one_by_itself(write, text: str, problem: str) -> None:
+    with pytest.raises(MachineFileError) as caught:
+        load_plant(write(text))
+    assert any(problem in sentence for sentence in caught.value.problems), caught.value.problems
 
 
 def test_all_mistakes_are_told_at_once(problems) -> None:

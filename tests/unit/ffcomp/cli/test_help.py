@@ -41,6 +41,14 @@ def test_names_stand_whole_in_80_columns(path: tuple[str, ...]) -> None:
         ("compensate a.gcode -m kossel --jobs two", '"two"'),
         ("compensate a.gcode -m kossel --tolerance-um 0", "--tolerance-um 0: it must be at least 0.1"),
         ("nothing", '"nothing"'),
+        ("compensate a.gcode -m kossel --max-speed-mm-per-s 90", "A quicker print needs the error that it may have"),
+        ("compensate a.gcode -m kossel --max-error-um 0.01", "it is a number of µm from 0.1 to 10000"),
+        ("compensate a.gcode -m kossel --max-error-um infill=9", "One --max-error-um without a feature says"),
+        ("frf -m kossel --lowest-hz 300", "--lowest-hz 300 lies above --highest-hz 200."),
+        ("frf -m kossel --step-hz 0.01 --highest-hz 9000", "take a larger step."),
+        ("record plan -m kossel -o a.json", "-o a.json: the G-code needs another ending"),
+        ("record plan -m kossel -o a.gcode --bed-c 60", "--bed-c is for --for scan, not for --for diagnose."),
+        ("record plan -m voron-300 -o a.gcode --for identify --at line-of-action", "that is a delta's"),
     ],
 )
 def test_a_usage_error_is_a_sentence_with_exit_code_2(words: str, sentence: str) -> None:

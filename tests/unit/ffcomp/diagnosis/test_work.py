@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.observations import EXCERPT_S
+from ffcomp.diagnosis.observations import EXCERPT_MOTIONS, EXCERPT_S, informative_recordings
 from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.problem import Observation
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.diagnosis.trace import Trace
@@ -122,3 +124,21 @@ def test_an_excerpt_is_simulated_as_the_whole_is(values: dict[str, float], toler
         there = long[rows.first : rows.last]
         assert len(short) == rows.last - rows.first == pytest.approx(EXCERPT_S * RATE_HZ, rel=0.02)
         np.testing.assert_allclose(short, there, atol=tolerance * np.abs(there).max())
+
+
+def test_of_many_motions_a_few_of_every_place_and_kind_are_searched_in() -> None:
+    """Three kinds at three places, each twice, and each a few mm beside the one before."""
+    places, rows = ((0.0, 0.0), (-70.0, -60.0), (60.0, 50.0)), np.zeros((10, 1))
+    runs = [
+        Observation(f"{kind}{i}.csv", kind, (x + 5.0 * i, y), 1600.0, ("acc_x",), rows, rows)
+        for x, y in places
+        for i, kind in enumerate("aabbcc")
+    ]
+    same = [i - i % 2 for i in range(18)]
+    chosen = informative_recordings(runs, same)
+    assert len(chosen) == EXCERPT_MOTIONS and all(same[i] == i for i in chosen)  # no repeats
+    assert {runs[i].repeat_of for i in chosen} == set("abc")
+    assert {i // 6 for i in chosen} == {0, 1, 2}
+    assert informative_recordings(runs[:12], same[:12]) == list(range(12))  # of few motions all
+    runs[1] = replace(runs[1], signals=("acc_y",))  # a repeat that measured something else
+    assert informative_recordings(runs, same)[:2] == [0, 1]

@@ -16,7 +16,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identification.axes import identify_axes
 from ffcomp.identification.axis_spectra import Response, Spectrum, closed_form
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
-from ffcomp.identification.resonance_tests import spectrum_of
+from ffcomp.identification.resonance_tests import BeltTest, spectrum_of
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
@@ -161,6 +161,17 @@ def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
     assert "share = [1.0]" in out.read_text(encoding="utf-8")
     drawn = call("frf", "-m", out, "--measured", tmp_path / "x.csv", "--figure", tmp_path / "bode.png", "--json")
     assert drawn.exit_code == 0 and "100 % accurate in magnitude" in json.loads(drawn.stdout)["verdict"]
+
+
+def test_a_test_along_a_diagonal_is_of_the_belt_that_it_moves(tmp_path: Path) -> None:
+    path = resonance_capture(tmp_path, "x_20260101_000000", ONE, 0.1, 1)
+    path = path.rename(tmp_path / "belt.csv")  # whose name states no axis
+    test = spectrum_of(path, "axis=1.000,-1.000", (5.0, 150.0))
+    assert isinstance(test, BeltTest)
+    np.testing.assert_allclose(test.direction, [np.sqrt(0.5), -np.sqrt(0.5)])
+    assert "the excited axis is not stated" in str(spectrum_of(path, None, (5.0, 150.0)))
+    for axis in ("1,one", "0,0", "1,1,1", "1"):
+        assert f"{axis!r} is no axis" in str(spectrum_of(path, axis, (5.0, 150.0)))
 
 
 # ---- what cannot be used is said -----------------------------------------------------------------
