@@ -62,7 +62,7 @@ RANDOM_STARTS = 30
 STEP = 1e-5  # of differences: the unknowns are of order one
 FAR_SD = 2.0  # coarse standard deviations: beyond it a value is far off
 ROUGH = FitSettings(steps=30, gain=1e-1, share=1e-3)  # of a start, before it is compared with others
-FINAL = FitSettings(steps=100, rounds=10, exact_end=True)
+FINAL = FitSettings(steps=100, rounds=10, exact=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,10 @@
     minimise  Σ r²/(noise + ε² size) + Σ ((θ − mean)/sd)²   inside bounds
 
 A step solves the quadratic model inside the bounds; one that does not lower the cost is tried again with several
-dampings at once (Levenberg 1944, Marquardt 1963). Derivatives are exact, or differences, which may be kept from step to
-step and corrected by secants (Broyden, Math. Comp. 19, 1965). A fit has converged where the best step would gain less
-than `FitSettings.gain` of χ²: no combination of values is then farther than √gain standard deviations from the optimum.
+dampings at once (Levenberg 1944, Marquardt 1963), and bent by what it missed, along the valley of confounded unknowns
+(geodesic acceleration: Transtrum & Sethna, arXiv:1201.5885). Derivatives are exact, or differences, which may be kept
+from step to step and corrected by secants (Broyden, Math. Comp. 19, 1965). A fit has converged where the best step
+would gain less than `FitSettings.gain` of χ²: the optimum is then within √gain standard deviations in every direction.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from ffcomp.inference.covariance import clustered_covariance
 from ffcomp.inference.problem import SMALLEST_ERROR, EstimationProblem
 from models.arrays import FloatArray
 
-DAMPINGS = (1e1, 1e2, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help
+DAMPINGS = (1e1, 1e2, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help,
+BENT = (1.0, 0.3)  # with shares of that step, bent
 SMALLEST_DAMPING = 1e-3
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 TRUSTED_GAIN = 0.3  # of its predicted gain a step must reach, or derivatives that were kept are too old
 MOST_CHANGE, FINEST = 30.0, 1e-3  # a difference's step shrinks, at most to this share, where it changes more than that
 MOST_PASSES = 1000  # of the search for the bounds that a step meets
 SETTLED = 0.05  # of a model error: less change ends the rounds
-
 
 P = TypeVar("P", bound=EstimationProblem)
 
@@ -51,7 +52,6 @@ class FitSettings:
     gain: float = 1e-3  # of χ²: a fit converges where less can be gained,
     share: float = 1e-12  # or less than this share of the cost
     keep: bool = False  # derivatives from step to step: for simulations that cost much
-    exact_end: bool = False  # central differences at the end make the covariance exact
     exact: bool = False  # central differences wherever all derivatives are taken
     renew: Sequence[int] = ()  # unknowns whose derivatives are taken at every step although the others are kept
     renew_all: bool = True  # all derivatives that were kept where no step helps
@@ -78,8 +78,7 @@ class FitResult(Generic[P]):
     @cached_property
     def cost(self) -> float:
         """χ² and the prior's part."""
-        mean, _ = self.problem.prior
-        cost = float(self.residual @ self.residual + self.precision @ (self.values - mean) ** 2)
+        cost = float(self.residual @ self.residual + self.precision @ (self.values - self.problem.prior[0]) ** 2)
         return cost if np.isfinite(cost) else np.inf
 
     @cached_property
@@ -108,8 +107,7 @@ class FitResult(Generic[P]):
     @property
     def gradient(self) -> FloatArray:
         """(p,) half of what the cost falls by with each value, at first."""
-        mean, _ = self.problem.prior
-        return self.jacobian.T @ self.residual - self.precision * (self.values - mean)
+        return self.jacobian.T @ self.residual - self.precision * (self.values - self.problem.prior[0])
 
     def step(self, damping: float = 0.0) -> FloatArray:
         """Return a step (p,) to the least of the quadratic model inside the bounds."""
@@ -164,8 +162,6 @@ def fit(
             break
         here, status = run.descend(here, fresh=True)
         progress(here)
-    if settings.exact_end:
-        here = run.renewed(here, central=True)
     return replace(here, status=status, n_evaluations=run.count, history=tuple(run.history))
 
 
@@ -207,8 +203,7 @@ def _weighed(here: FitResult[P], errors: FloatArray) -> FitResult[P]:
     """Weigh the rows by other model errors."""
     sd = here.problem.deviations(errors)
     share = here.sd / sd
-    jacobian = here.jacobian * share[:, None]
-    return replace(here, residual=here.residual * share, jacobian=jacobian, sd=sd, errors=errors)
+    return replace(here, residual=here.residual * share, jacobian=here.jacobian * share[:, None], sd=sd, errors=errors)
 
 
 class _Run(Generic[P]):
@@ -228,8 +223,7 @@ class _Run(Generic[P]):
         problem, settings = self.problem, self.settings
         values = np.clip(start, *problem.limits)
         if errors is None and settings.rounds:
-            ones = np.ones(len(problem.measured))
-            errors = problem.errors_of(self.evaluated([values], ones)[0], together=True)
+            errors = problem.errors_of(self.evaluated([values], np.ones(len(problem.measured)))[0], together=True)
         errors = np.zeros(len(problem.observations)) if errors is None else errors
         sd = problem.deviations(errors)
         (residual,) = self.evaluated([values], sd)
@@ -264,15 +258,21 @@ class _Run(Generic[P]):
 
         Returns the new point, its derivatives corrected by the secant, and the damping to begin the next step with.
         """
-        for dampings in ((damping,), tuple(max(damping, SMALLEST_DAMPING) * grown for grown in DAMPINGS)):
-            trials = [np.clip(here.values + here.step(each), *self.problem.limits) for each in dampings]
+        whole, grown = here.step(damping), [max(damping, SMALLEST_DAMPING) * each for each in DAMPINGS]
+        steps = [(whole, damping)]
+        for more in (True, False):
+            trials = [np.clip(here.values + step, *self.problem.limits) for step, _ in steps]
             residuals = self.evaluated(trials, here.sd)
             points = [replace(here, values=x, residual=r) for x, r in zip(trials, residuals, strict=True)]
             best = int(np.argmin([point.cost for point in points]))
             if points[best].cost < here.cost:
-                used = dampings[best]
+                used = steps[best][1]
                 there = _secant(here, points[best]) if self.settings.keep else points[best]
                 return there, used / 10 if used > SMALLEST_DAMPING else 0.0
+            steps = [(here.step(each), each) for each in grown] if more else []
+            if more and np.isfinite(points[0].cost) and not self.settings.keep:
+                bend = points[0].step(damping)  # by the derivatives from before that step: by what they missed
+                steps += [(share * whole + share**2 * bend, damping) for share in BENT]
         return None
 
     def renewed(self, here: FitResult[P], columns: Sequence[int] | None = None, central: bool = False) -> FitResult[P]:

@@ -23,10 +23,7 @@ from tests.support.hidden_delta import Motions, Printer, hidden, owners_file, pr
 from validation import judge
 
 SECONDS, PRINTED_S = 1.2, 3.0
-EXPERIMENTS = (
-    Motions("multisine", (0.0, 0.0, 30.0), 1.0, 2),
-    Motions("multisine", (70.0, 40.0, 60.0), 1.4),
-)
+EXPERIMENTS = (Motions("multisine", (0.0, 0.0, 30.0), 1.0, 2), Motions("multisine", (70.0, 40.0, 60.0), 1.4))
 TABLE, REAL = hidden("extruder_mount", 2)  # softer and more damped, in x and y
 
 

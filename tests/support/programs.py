@@ -20,10 +20,7 @@ def moves_through(points: ArrayLike, speed: ArrayLike = 100.0, **columns: ArrayL
     places = np.pad(places, ((0, 0), (0, 4 - places.shape[1])))
     n = len(places) - 1
     whole: dict[str, Any] = {"line": np.arange(n), "start": places[:-1], "end": places[1:]}
-    whole |= {
-        "speed": np.broadcast_to(np.asarray(speed, dtype=np.float64), (n,)),
-        "frame": np.zeros(n, dtype=np.int64),
-    }
+    whole |= {"speed": np.broadcast_to(np.asarray(speed, dtype=np.float64), (n,)), "frame": np.zeros(n, dtype=np.int64)}
     for name in ("velocity_limit", "acceleration", "square_corner_velocity", "minimum_cruise_ratio"):
         whole[name] = np.broadcast_to(np.asarray(columns.get(name, np.nan), dtype=np.float64), (n,))
     return Moves(**whole)

@@ -125,10 +125,7 @@ def test_a_file_may_list_effects(load) -> None:
         ("[effects.center_of_mass]\noffset_mm = 1", "offset_mm = 1 must be a list of three finite numbers (mm)."),
         ("[effects.frame_mode]\ndirection = [1, 1]", "direction = [1, 1] must be 'x', 'y', 'both', or a unit vector"),
         ("[effects.cogging]\namplitude_mm = 0.1", "effects.cogging.pitch_mm is missing; p: period of the ripple"),
-        (
-            "[effects.frame_mod]\nmass_kg = 1",
-            "effects.frame_mod is not a known effect. Did you mean 'frame_mode'?",
-        ),
+        ("[effects.frame_mod]\nmass_kg = 1", "effects.frame_mod is not a known effect. Did you mean 'frame_mode'?"),
         (
             "[effects.growing_bed]\ngrowth_per_m = 1.0",
             "effects.growing_bed does not apply to a delta: it has no straight axes.",

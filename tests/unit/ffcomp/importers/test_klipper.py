@@ -170,11 +170,7 @@ def test_a_macro_that_sets_the_shaper_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        (
-            "rotation_distance: 32",
-            "rotation_distance: 32mm",
-            r"cfg:11: \[stepper_a\] rotation_distance = '32mm' must",
-        ),
+        ("rotation_distance: 32", "rotation_distance: 32mm", r"cfg:11: \[stepper_a\] rotation_distance = '32mm' must"),
         ("rotation_distance: 32", "rotation_distance: 0", "'0' must be above 0"),
         ("microsteps: 16", "microsteps: 16\ngear_ratio: 3", "gear_ratio = '3' must be pairs like 80:16"),
         ("microsteps: 16", "microsteps 16", "'microsteps 16' is no section and no option"),

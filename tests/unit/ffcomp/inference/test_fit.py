@@ -53,12 +53,25 @@ class Line(EstimationProblem):
 @pytest.mark.parametrize(("exact", "keep"), [(True, False), (False, False), (False, True)])
 def test_a_known_minimum_is_found(exact: bool, keep: bool) -> None:
     problem = decay(exact=exact)
-    found = fit(problem, np.ones(2), FitSettings(keep=keep, exact_end=True, gain=1e-6))
+    found = fit(problem, np.ones(2), FitSettings(keep=keep, exact=True, gain=1e-6))
     assert found.status is Status.CONVERGED and found.doubt("it") == []
     np.testing.assert_allclose(found.values, [2.0, 3.0], rtol=1e-4)
     np.testing.assert_allclose(found.jacobian, 100 * decay().slopes(found.values), rtol=1e-5, atol=1e-5)
     assert found.n_evaluations == problem.count
     assert list(found.history) == sorted(found.history, reverse=True)
+
+
+class Valley(Line):
+    """Rosenbrock's: Gauss-Newton's step leaves its bottom far behind, and damped ones creep."""
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        return (np.array([x, 1e3 * (y - x**2)]) for x, y in lanes)
+
+
+def test_a_narrow_valley_is_followed_round_its_bend() -> None:
+    seen = Observation(np.array([1.0, 0.0]), np.ones(2))
+    found = fit(Valley(np.eye(2), [seen], [Unknown("x"), Unknown("y")]), np.array([-1.2, 1.0]))
+    assert found.status is Status.CONVERGED and found.n_evaluations < 30 and found.values == pytest.approx([1.0, 1.0])
 
 
 def test_running_out_of_steps_is_not_converging() -> None:
@@ -88,7 +101,7 @@ def test_evidence_is_that_of_the_marginal_distribution() -> None:
     rng = np.random.default_rng(0)
     matrix, y, noise = rng.normal(size=(6, 2)), rng.normal(size=6), rng.uniform(0.5, 2.0, 6)
     unknowns = [Unknown("a", 0.5, 2.0), Unknown("b", -1.0, 0.3)]
-    found = fit(Line(matrix, [Observation(y, noise)], unknowns), np.zeros(2), FitSettings(exact_end=True))
+    found = fit(Line(matrix, [Observation(y, noise)], unknowns), np.zeros(2), FitSettings(exact=True))
     spread = matrix @ np.diag([4.0, 0.09]) @ matrix.T + np.diag(noise)
     off = y - matrix @ [0.5, -1.0]
     assert found.evidence == pytest.approx(off @ np.linalg.solve(spread, off) + np.linalg.slogdet(spread)[1])
