@@ -136,11 +136,7 @@ class _Problem(EstimationProblem):
     """Unknowns are the axis' numbers in the file's own values; measured are signals over the size of their motion."""
 
     def __init__(
-        self,
-        start: Machine,
-        shots: Sequence[Shots],
-        names: Sequence[str],
-        known: Mapping[str, tuple[float, float]],
+        self, start: Machine, shots: Sequence[Shots], names: Sequence[str], known: Mapping[str, tuple[float, float]]
     ) -> None:
         self.start, self.shots, self.names, self.known = start, shots, names, known
         offset = OFFSET_SHARE * scales_of(start, shots).force_n

@@ -40,10 +40,20 @@ def identify(
     method = _with_drive if commanded else fit_machine
     fitted = method(start, responses, known, progress=progress)
     kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
-    has_drive = delta_vibration(start).carriage.drive is not None
-    before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
-    restored = replace(fitted, machine=with_values(fitted.machine, before), kept=kept)
-    return replace(restored, advice=(*fitted.advice, *advice_on(restored)))
+    others = [name for name in fitted.prior_share if name not in kept]
+    if kept and others:
+        has_drive = delta_vibration(start).carriage.drive is not None
+        before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
+        held = {name: value for name, value in (known or {}).items() if name not in kept}
+        # the others had made up for those that are put back: of belt and guide damping, the sum is sharp
+        again = fit_machine(with_values(fitted.machine, before), responses, held, unknowns=others, starts=[{}])
+        ratio = {name: e.value / fitted.estimates[name].value for name, e in again.estimates.items()}
+        both = (fitted.estimates, fitted.beside_scale)
+        moved, beside = ({name: e.scaled(ratio.get(name, 1.0)) for name, e in each.items()} for each in both)
+        fitted = replace(fitted, machine=again.machine, estimates=moved, beside_scale=beside)
+        fitted = replace(fitted, predictions=again.predictions, model_errors=again.model_errors)
+    fitted = replace(fitted, kept=kept)
+    return replace(fitted, advice=(*fitted.advice, *advice_on(fitted)))
 
 
 def _with_drive(

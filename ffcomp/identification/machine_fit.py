@@ -304,11 +304,7 @@ class Origin:
         """Write the starting file's text with other values, their uncertainties and provenance."""
         table = {"date": self.date, "started_from": self.source.stem, "data": list(self.data), **identified}
         return updated_text(
-            self.source,
-            values,
-            name=self.name,
-            uncertainty=uncertainty,
-            provenance={**provenance, "identified": table},
+            self.source, values, name=self.name, uncertainty=uncertainty, provenance={**provenance, "identified": table}
         )
 
     def note(self, estimates: Sequence[Estimate], verb: str) -> str:

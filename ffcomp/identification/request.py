@@ -176,8 +176,7 @@ class UpdateRequest(Request):
     data: Annotated[tuple[Path, ...], RUNS]
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[
-        Path,
-        Option("Machine file to write; it may be the one that is updated.", OUTPUT, "--output -o", metavar="FILE"),
+        Path, Option("Machine file to write; it may be the one that is updated.", OUTPUT, "--output -o", metavar="FILE")
     ]
     plan: Annotated[Path | None, MOVES_PLAN] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None

@@ -61,12 +61,7 @@ FRICTION_SD, LEAST_FRICTION = 2.0, 1e-3  # in units of it: without any, bristles
 PRESLIDING, OWN_PRESLIDING = "presliding_mm", ("presliding_a_mm", "presliding_b_mm", "presliding_c_mm")
 PRESLIDING_MM = (0.003, 1.0)
 # middle, sd (of the logarithm); pressure: by which the flow lags behind the extruder
-BEAD = {
-    "drag_mm": (0.2, 0.5),
-    "rounding_mm": (0.12, 0.5),
-    "shift_mm": (0.0, 0.015),
-    "pressure_s": (0.006, 0.7),
-}
+BEAD = {"drag_mm": (0.2, 0.5), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.015), "pressure_s": (0.006, 0.7)}
 # of a print; 1: as planned. Speeds in the lines' directions; how much of what the zigzags excite rings along x, y: more
 # than 1 where a quicker mode moves against the one that rings, less with an input shaper
 PLANNED = {"speed": (1.0, 0.0), "ring_x": (1.0, 0.1), "ring_y": (1.0, 0.1)}
