@@ -121,11 +121,11 @@ class ParametersFit(MachineFit):
     @property
     def headline(self) -> str:
         """How many responses are explained, and which one worst."""
-        fitted = self.result
+        fitted, count = self.result, len(self.result.responses)
         pairs = [(float(e), i) for i, e in enumerate(fitted.model_errors) if e > 0]
-        count = len(fitted.responses)
         if not pairs:
-            return f"The model explains all {count} responses to their noise (misfit {fitted.misfit:.2f})."
+            which = f"all {count} responses to their" if count > 1 else "the response to its"
+            return f"The model explains {which} noise (misfit {fitted.misfit:.2f})."
         error, i = max(pairs)
         return (
             f"The model explains {count - len(pairs)} of {count} responses to their noise, the others to "
