@@ -205,7 +205,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
     least = max(settings.exists, chance) if noise.from_repeats else estimation.tolerance
     progress(Stage(2, "fitting the machine's own parameters"))
-    filed = _as_filed(estimation)
+    filed = linearised(estimation, problem.parameters, np.zeros(len(problem.parameters)))
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
@@ -221,7 +221,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
         hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
         if small and not hint:
             return replace(none, screened=screened)
-        search = Search(estimation, _bases(estimation, filed, base, screened, small), base, progress)
+        search = Search(estimation, base, screened, progress)
         selection = find_best(search)
         progress(Stage(6, "fitting what was found with exact derivatives"))
         selection = finish(search, selection)
@@ -238,25 +238,6 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
     return none if small and tested.rejections else tested
 
 
-def _as_filed(estimation: EstimationProblem) -> Fit:
-    """Return the fit with the numbers of the machine file, and the derivatives there."""
-    return linearised(estimation, estimation.problem.parameters, np.zeros(len(estimation.problem.parameters)))
-
-
-def _bases(
-    estimation: EstimationProblem, filed: Fit, base: Fit, screened: Sequence[Screened], small: bool
-) -> list[tuple[Fit, Sequence[Screened]]]:
-    """Select the fits of the machine's parameters to begin the search at, with the candidates screened there.
-
-    The file's own parameters are one of them: with the right effect they need no retuning, and a fit that made them
-    far off to mimic it leads astray; but where they are far off, it is their error that is seen from there.
-    """
-    if small:
-        return [(base, screened)]
-    from_file = (filed, screen(replace(estimation, coarse=True), filed, list(estimation.problem.candidates)))
-    return [from_file, (base, screened)]
-
-
 def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Searched | None:
     """Search in an excerpt of the recordings and fit the best to all; None if all is needed for the search."""
     part = excerpt_of(estimation, base.discrepancy)
@@ -264,12 +245,12 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
         return None
     count, share = len(part.problem.candidates), f"{100 * part.share:.0f} % of the data"
     progress(Stage(3, f"screening {count} effects in {share}: the discrepancy is large"))
-    filed, begun = _as_filed(part), fit_in_excerpt(part, base)
+    begun = fit_in_excerpt(part, base)
     retuned = fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
     screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
-    selection = find_best(Search(part, _bases(part, filed, retuned, screened, small=False), retuned, progress))
+    selection = find_best(Search(part, retuned, screened, progress))
     progress(Stage(6, "fitting what was found to all data"))
-    whole = Search(estimation, (), base, progress)
+    whole = Search(estimation, base, (), progress)
     best = on_all_data(whole, selection)
     if best is None:
         progress("the whole recordings show more than the excerpt: the search starts again on all of them")

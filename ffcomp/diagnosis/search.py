@@ -52,8 +52,8 @@ class Search:
     """What a search works with."""
 
     estimation: EstimationProblem
-    bases: Sequence[tuple[Fit, Sequence[Screened]]]  # fits of the machine's parameters, with what was screened there
     retuned: Fit  # the machine's parameters alone, at their best
+    screened: Sequence[Screened]  # the effects that are looked for, there
     progress: Progress
 
     @property
@@ -89,14 +89,9 @@ class Selection:
 def find_best(search: Search) -> Selection:
     """Run the search up to its final fits."""
     search.progress(Stage(4, "fitting the most promising effects"))
-    settings = search.settings
-    chosen = _chosen(search, [base for base, _ in search.bases])
-    children = [
-        child
-        for base, screened in search.bases
-        for child in _quick_fits(search, Hypothesis((), base), screened, chosen)
-    ]
-    beam = _level(search, children) or [Hypothesis((), search.retuned)]  # there may be no effect to try
+    settings, none = search.settings, Hypothesis((), search.retuned)
+    chosen = _chosen(search, [search.retuned])
+    beam = _level(search, _quick_fits(search, none, search.screened, chosen)) or [none]  # no effect may be visible
     best, tried = beam[0], beam
     while len(best.effects) < settings.most_effects and _asks_for_more(search, best) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
