@@ -36,13 +36,7 @@ class Shown(Request):
     quiet: Annotated[bool, Option("Print no progress.", OUTPUT, "--quiet -q")] = False
     report: Annotated[
         Path | None,
-        Option(
-            "Write answer and figures as one HTML page that opens offline.",
-            OUTPUT,
-            "--report -r",
-            metavar="FILE",
-            writes="file",
-        ),
+        Option("Write answer and figures as one HTML page.", OUTPUT, "--report -r", metavar="FILE", writes="file"),
     ] = None
 
 
@@ -117,6 +111,8 @@ def check_targets(requests: Sequence[Request]) -> None:
                 raise RequestError(f"{path}: {name} names a folder.")
             if not folder and (path.is_dir() or not path.resolve().parent.is_dir()):
                 raise RequestError(f"{path}: {name} names a file in a folder that exists.")
+            if name == "--report" and path.suffix.lower() not in (".html", ".htm"):
+                raise RequestError(f"{path}: --report writes a page; end its name in .html.")
             if path.resolve() in read:
                 raise RequestError(f"{path} is read as well; give another {name}.")
             if path.resolve() in written:

@@ -326,8 +326,6 @@ def _other_motion(
         less = power(values_at(fitted.parameters, there))
         changed = now / was - 1 if was else np.inf
         if less < least and DIFFERS_FROM < abs(changed) < DIFFERS_BY:
-            result, least = (
-                replace(result, number=n.name, changed=changed, refitted=float(np.sqrt(less / signals))),
-                less,
-            )
+            result = replace(result, number=n.name, changed=changed, refitted=float(np.sqrt(less / signals)))
+            least = less
     return result

@@ -81,7 +81,8 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
     """Estimate the noise from repeats; None if nothing was measured twice."""
     ordered = sorted(observations, key=lambda o: (o.repeat_of, o.name))
-    pairs = [(a, b) for a, b in pairwise(ordered) if a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)]
+    alike = ((a, b) for a, b in pairwise(ordered) if a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured))
+    pairs = [(a, b) for a, b in alike if not np.array_equal(a.measured, b.measured, equal_nan=True)]  # no copies
     if not pairs:
         return None
     grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)

@@ -28,7 +28,7 @@ from models.file import updated_text
 
 LATE_S = 1e-4  # a later file is reported
 OFF_SHARE = 0.05  # of a number of the file: a larger error is reported
-BEYOND_SD = 3.0  # by chance one of fifteen numbers is so far off in one machine of 25
+BEYOND_SD = 2.99  # where retuning ends; by chance one of fifteen numbers is so far off in one machine of 25
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,6 +38,7 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
             yield from _open_numbers(result)
             if unproven:
                 yield f"It is unproven at {unproven}, where little of the gap is."
+            yield from _beyond(result)
             yield from _file_off(result)
         case "dominant" if most is not None:
             of = f"the gap in {most.signal}" if most.signal else "the gap"
@@ -144,7 +145,7 @@ def _file_off(result: DiagnosisResult) -> Iterator[str]:
 
 
 def _beyond(result: DiagnosisResult) -> Iterator[str]:
-    """Say which numbers of the file would be off by more than it says: an effect may be behind them."""
+    """Say which numbers of the file are as far off as retuning goes: another effect may be behind them."""
     numbers = result.retuned
     if each := [
         f"{name} by {times:.1f} times its uncertainty ({numbers[name].filed:.4g} in the file, "
@@ -152,8 +153,8 @@ def _beyond(result: DiagnosisResult) -> Iterator[str]:
         for name, times in list(result.beyond.items())[:FEW]
     ]:
         yield (
-            f"Further off than the file says is {joined(each)}: measure it again, because an effect may have changed "
-            "it, or state in the file's [uncertainty] how well it is known."
+            f"As far off as retuning goes is {joined(each)}: another effect may have changed it. Measure it again, or "
+            "state in the file's [uncertainty] how well it is known."
         )
 
 

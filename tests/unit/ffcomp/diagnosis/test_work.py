@@ -30,7 +30,6 @@ from models.vibration.driven_axis import DrivenAxis
 RATE, ROWS, MOTIONS = 500.0, 700, 5
 DRIVE = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
 FRICTION = "effects.coulomb_friction.force_n"
-MILLION = 1e6
 
 
 def problem(names: Sequence[str] = ("coulomb_friction", "belt_hardening", "guide_damping")) -> AxisProblem:
@@ -59,11 +58,11 @@ def test_a_small_case_is_named_within_few_steps() -> None:
     assert found.verdict == "effects" and found.named is not None and found.named.names == ("coulomb_friction",)
     assert found.final.values[FRICTION] == pytest.approx(4.0, rel=0.05)
     assert not found.cut_short
-    assert asked.work.steps < 3.3 * MILLION * STEP_COST
+    assert asked.work.steps < 3.3e6 * STEP_COST
 
 
 def test_a_search_ends_at_its_budget_and_says_so() -> None:
-    asked, found = searched(0.1 * MILLION)
+    asked, found = searched(1e5)
     assert found.cut_short
     assert asked.work.steps < 0.95 * searched(None)[0].work.steps
     told = DiagnosisResult(search=found)
@@ -86,9 +85,6 @@ def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
     trace.write(tmp_path / "trace.json")
     written = json.loads((tmp_path / "trace.json").read_text(encoding="utf-8"))
     assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
-
-
-# ---- excerpts ----
 
 
 RATE_HZ, SECONDS = 1591.5, 4.0
