@@ -61,10 +61,10 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
     ----------
     simulated : (n, m) an observation with the machine file, if it is known already.
     """
-    floor = noise_from_repeats(problem.observations)
-    if floor is not None:
+    floor, known = noise_from_repeats(problem.observations), problem.least_density
+    if floor is not None and (known or any(each.any() for each in floor.density.values())):  # of copies there is none
         return floor
-    known = problem.least_density  # of positions: what their sensors and the simulation cannot separate
+    # of positions: what their sensors and the simulation cannot separate
     if known and all(name in known for o in problem.observations for name in o.signals):
         return noise_of_sensors(problem.observations, known)
     predicted = problem.simulate({}) if simulated is None else simulated
@@ -81,8 +81,7 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
     """Estimate the noise from repeats; None if nothing was measured twice."""
     ordered = sorted(observations, key=lambda o: (o.repeat_of, o.name))
-    alike = ((a, b) for a, b in pairwise(ordered) if a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured))
-    pairs = [(a, b) for a, b in alike if not np.array_equal(a.measured, b.measured, equal_nan=True)]  # no copies
+    pairs = [(a, b) for a, b in pairwise(ordered) if a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)]
     if not pairs:
         return None
     grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)

@@ -70,9 +70,6 @@ def test_a_dry_run_writes_nothing(small: Path) -> None:
     assert small.read_bytes() == SMALL and [p.name for p in small.parent.iterdir()] == [small.name]
 
 
-# ---- compensate options ----
-
-
 MACHINE = "mp-delta-pro"
 
 

@@ -75,9 +75,6 @@ def test_a_wrong_effect_is_refused_for_what_it_leaves_at_places_left_out(folder:
     assert np.mean([place.after for place in found.held_out]) > 1.0  # of the noise
 
 
-# ---- diagnose search ----
-
-
 RATE_HZ, SECONDS_DIAGNOSE_SEARCH, NOISE = 1600.0, 0.8, 0.15
 PLACES = ((0.0, 0.0, 30.0), (-60.0, 20.0, 30.0), (20.0, 60.0, 120.0))
 TWO = PLACES[1:]  # enough where a search is long

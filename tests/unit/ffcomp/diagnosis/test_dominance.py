@@ -10,7 +10,7 @@ import pytest
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.noise import noise_from_repeats, whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
 from models.arrays import FloatArray
 
@@ -74,9 +74,8 @@ class Linear(Problem):
 
 def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
     """The problem with its noise, and its own parameter fitted alone."""
-    floor = noise_from_repeats(problem.observations)
-    assert floor is not None
-    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
+    whiten = whitener(problem.observations, noise_floor(problem), problem.band_hz)
+    estimation = estimation_problem(problem, whiten)
     return estimation, fit(estimation, tuple(problem.parameters), np.zeros(len(problem.parameters)))
 
 
@@ -119,3 +118,10 @@ def test_what_explains_one_signal_is_named_in_it_where_each_is_compared_by_itsel
     found = dominant_of(problem)
     assert found is not None and found.hypothesis.names == (RUBS,) and found.signal == "acc_x"
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.04), abs=0.04)
+
+
+def test_a_copy_is_no_repeat_that_shows_the_noise() -> None:
+    problem = Linear((1.0, 1.0, 1.0, 1.0), 0.0, (RUBS,))
+    assert noise_floor(problem).from_repeats
+    problem.observations = problem.observations[:1] * 2
+    assert not noise_floor(problem).from_repeats
