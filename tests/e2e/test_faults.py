@@ -190,9 +190,9 @@ def test_killed_half_way(tmp_path: Path, number: signal.Signals) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "FFCOMP_LOG": "off"}
     arguments = ["compensate", "-m", "mp-delta-pro", "-q", "--no-predict", str(file)]
     process = subprocess.Popen([sys.executable, "-c", command, *arguments], env=environment)
-    while process.poll() is None and not any(p.stat().st_size for p in tmp_path.glob(".ffcomp-*.tmp")):
+    while process.poll() is None and not any(tmp_path.glob(".ffcomp-*.tmp")):  # it is written to at the end
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(0.02)
+            process.wait(1.0)
     process.send_signal(number)
     code = process.wait(60)
     assert code == (128 + signal.SIGTERM if number == signal.SIGTERM else -signal.SIGKILL)
