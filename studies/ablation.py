@@ -33,7 +33,7 @@ OFF: Mapping[str, SearchSettings] = {
     "an excerpt of long recordings": replace(SETTINGS, excerpt_information=np.inf),
     "coarse simulations": replace(SETTINGS, coarse_error=0.0),
     "the loudest motions first": replace(SETTINGS, subset_worth=0.0),
-    "one effect more at most": replace(SETTINGS, most_effects=2),
+    "a second effect": replace(SETTINGS, most_effects=1),
 }
 
 
