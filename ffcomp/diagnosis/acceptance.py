@@ -51,7 +51,7 @@ def rejections(
 def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
     """Name the effects without a determined pitch, frequency or damping: nothing shows that they repeat, or swing.
 
-    A mode that swings far below the band is a mass that stays behind, and stands in for whatever asks for a gain; one
+    A mode that swings far below the band is a mass that stays behind, and stands in for whatever changes a gain; one
     that is damped as much as its limit creeps, as belts do.
     """
     return [
