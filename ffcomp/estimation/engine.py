@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
+import numpy as np
+
 from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
-from ffcomp.estimation.statistics import FILAMENT, KINDS, Statistics, Unknown, planned_slices, seconds
+from ffcomp.estimation.statistics import Statistics, Unknown, planned_slices
 from ffcomp.firmware.program import firmware_plan, planner_of, raw_durations, read_as_planned
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.numerics.serialise import ALL_OF, keys
@@ -44,7 +46,7 @@ class Estimate(Result):
     @property
     def time_s(self) -> float:
         """Of the file as written."""
-        return seconds(self.statistics.total)
+        return self.statistics.total.time_s
 
     @property
     def compensated(self) -> bool:
@@ -55,7 +57,7 @@ class Estimate(Result):
     def headline(self) -> str:
         """The time, the time before compensation, and the slicer's own estimate."""
         numbers, text = self.statistics, f"{self.path} on {self.machine.name}: {clock(self.time_s)}"
-        text += "" if self.original is None else f", before compensation {clock(seconds(self.original.total))}"
+        text += "" if self.original is None else f", before compensation {clock(self.original.total.time_s)}"
         return f"{text}{'' if numbers.slicer_s is None else f'; the slicer says {clock(numbers.slicer_s)}'}."
 
     @property
@@ -66,11 +68,11 @@ class Estimate(Result):
         def share(spent: float) -> str:
             return f"{clock(spent)}, {100 * spent / whole:.1f} %"
 
-        kinds = [(kind, share(float(s))) for kind, s in zip(KINDS, numbers.total, strict=False) if s]
-        features = sorted(numbers.features.items(), key=lambda item: -seconds(item[1]))
-        of_features = [(n, f"{share(seconds(row))}, {max(row[FILAMENT], 0.0) / 1e3:.2f} m") for n, row in features]
+        kinds = [(kind, share(s)) for kind, s in numbers.total.by_kind.items() if s]
+        features = sorted(numbers.features.items(), key=lambda item: -item[1].time_s)
+        of_features = [(n, f"{share(each.time_s)}, {max(each.filament_mm, 0.0) / 1e3:.2f} m") for n, each in features]
         filament = ("filament", f"{numbers.filament_mm / 1e3:.2f} m, {numbers.retractions} retractions")
-        times = sorted((seconds(e.row), e.number) for e in numbers.layers_in_order if e.number is not None)
+        times = sorted((e.spent.time_s, e.number) for e in numbers.layers_in_order if e.number is not None)
         layers = [("layers", f"{len(times)}")] if times else []
         if len(times) > 1:
             (least, low), (most, high) = times[0], times[-1]
@@ -80,13 +82,12 @@ class Estimate(Result):
     @property
     def layers(self) -> list[Fact]:
         """Every layer's height, line in the file, and time."""
-        return [
-            (
-                "before" if each.number is None else f"layer {each.number}",
-                f"z {each.z_mm:.2f} mm, line {each.line}: {clock(seconds(each.row))}",
-            )
-            for each in self.statistics.layers_in_order
-        ]
+        rows = []
+        for each in self.statistics.layers_in_order:
+            name = "before" if each.number is None else f"layer {each.number}"
+            height = f"z {each.z_mm:.2f} mm, " if np.isfinite(each.z_mm) else ""
+            rows.append((name, f"{height}line {each.line}: {clock(each.spent.time_s)}"))
+        return rows
 
     @property
     def warnings(self) -> list[str]:

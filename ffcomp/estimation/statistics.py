@@ -1,14 +1,10 @@
-"""Add up every move's time and filament by its layer, its feature, and its kind of motion, slice by slice.
-
-Rows are added up, (6,) arrays: the seconds of each kind of motion and of waiting, and mm of filament.
-"""
+"""Add up every move's time and filament by its layer, its feature, and its kind of motion, slice by slice."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import reduce
+from dataclasses import astuple, dataclass, field, replace
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -91,47 +87,54 @@ def _line_begun(program: Program, plan: Trajectory, t: float) -> int:
     return int(np.searchsorted(line, line[int(plan.move_at(t))]))
 
 
+KINDS = ("extruding", "travelling", "retracting", "priming", "waiting")
+EXTRUDING, TRAVELLING, RETRACTING, PRIMING, WAITING, FILAMENT = range(6)  # columns of rows
 BEFORE = -1  # the number of the lines before the first layer
-BAND_MM = 0.05  # of height: a layer of a file that names none
-_HEIGHT_0 = -(1 << 40)  # keys of heights are counted from here, below those of numbered layers
+STILL_MM = 5e-5  # of filament in one move: less is rounding
+RETRACTED_MM = 0.05  # of filament at least, to call it a retraction
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """Seconds by kind of motion, and filament."""
+
+    json_keys: ClassVar = keys("time_s", *(f"{kind}_s" for kind in KINDS))
+
+    extruding_s: float = 0.0
+    travelling_s: float = 0.0
+    retracting_s: float = 0.0
+    priming_s: float = 0.0
+    waiting_s: float = 0.0
+    filament_mm: float = 0.0
+
+    @property
+    def time_s(self) -> float:
+        """All of it."""
+        return sum(self.by_kind.values())
+
+    @property
+    def by_kind(self) -> dict[str, float]:
+        """Seconds of each of KINDS."""
+        return dict(zip(KINDS, astuple(self), strict=False))
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
     """Time and filament of a layer."""
 
-    json_keys: ClassVar = keys("line", "filament_mm", layer="number", z_mm="highest_mm") | {ALL_OF: "spent"}
+    json_keys: ClassVar = keys("line", "z_mm", filament_mm="spent.filament_mm", layer="number") | {ALL_OF: "spent"}
 
-    row: FloatArray  # (6,), see `ffcomp.estimation.statistics`
+    number: int | None  # from 0; None: the lines before the first
     line: int  # its first, from 1
-    z_mm: float = -np.inf  # of its highest extruding move; -inf: none extrudes
-    number: int | None = None  # from 0; None: the lines before the first
-
-    @property
-    def spent(self) -> Spent:
-        """Its times."""
-        return Spent.of(self.row)
-
-    @property
-    def highest_mm(self) -> float | None:
-        """The height of its highest extruding move; None: none extrudes."""
-        return self.z_mm if np.isfinite(self.z_mm) else None
-
-    @property
-    def filament_mm(self) -> float:
-        """Its filament."""
-        return float(self.row[FILAMENT])
+    z_mm: float  # of its highest extruding move; -inf: none extrudes
+    spent: Spent
 
     def with_more(self, other: Layer) -> Layer:
-        """Add another part of the same layer."""
-        return Layer(self.row + other.row, min(self.line, other.line), max(self.z_mm, other.z_mm))
-
-
-def summed(keys: IntArray, rows: FloatArray) -> Iterator[tuple[int, FloatArray, int]]:
-    """Yield each key once, with its rows' sum and the index of the first. keys : (n,), rows : (n, m)."""
-    unique, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    sums = [np.bincount(which, column, minlength=len(unique)) for column in rows.T]
-    yield from zip(unique.tolist(), np.stack(sums, axis=1), first.tolist(), strict=True)
+        """Add a later part of the same layer."""
+        return replace(self, z_mm=max(self.z_mm, other.z_mm), spent=self.spent + other.spent)
 
 
 REMEMBERED = 50  # lines of each command that are remembered
@@ -185,43 +188,13 @@ def unknown_in(program: Program, event: Event) -> tuple[str, str] | None:
     return next((what for what, names in _KINDS.items() if names.fullmatch(name)), _MACRO), name
 
 
-KINDS = ("extruding", "travelling", "retracting", "priming", "waiting")
-EXTRUDING, TRAVELLING, RETRACTING, PRIMING, WAITING, FILAMENT = range(6)
-COLUMNS = 6
-STILL_MM = 5e-5  # of filament in one move: less is rounding
-RETRACTED_MM = 0.05  # of filament at least, to call it a retraction
-
-
-@dataclass(frozen=True, slots=True)
-class Spent:
-    """Seconds by kind of motion."""
-
-    time_s: float  # all of it
-    extruding_s: float
-    travelling_s: float
-    retracting_s: float
-    priming_s: float
-    waiting_s: float
-
-    @classmethod
-    def of(cls, row: FloatArray) -> Spent:
-        """Return the times of a row (6,)."""
-        return cls(seconds(row), *row[:FILAMENT].tolist())
-
-
-def seconds(row: FloatArray) -> float:
-    """Return all the time in a row (6,)."""
-    return float(row[:FILAMENT].sum())
-
-
 @dataclass(slots=True)
 class Statistics:
     """Time and filament that have been counted so far."""
 
-    json_keys: ClassVar = keys("filament_mm", "moves", "retractions", "warnings") | {
-        ALL_OF: "spent",
+    json_keys: ClassVar = keys("filament_mm", "moves", "retractions", "warnings", "features") | {
+        ALL_OF: "total",
         "slicer_time_s": "slicer_s",
-        "features": "spent_by_feature",
         "layers": "layers_in_order",
         "unknown": "unknown_waits",
     }
@@ -230,43 +203,25 @@ class Statistics:
     retractions: int = 0
     filament_mm: float = 0.0
     slicer_s: float | None = None  # that the slicer's comment states
-    features: dict[str, FloatArray] = field(default_factory=dict)
-    layers: dict[int, Layer] = field(default_factory=dict)  # by number, or key of height before the first one
+    features: dict[str, Spent] = field(default_factory=dict)
+    layers: dict[int, Layer] = field(default_factory=dict)  # by number, in order
     unknown: dict[tuple[str, str], Unknown] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     _feature: str = UNNAMED
     _layer: int = BEFORE
-    _height: int = _HEIGHT_0  # key of the last extruding move's
     _fed_mm: float = 0.0
     _pulled_mm: float = 0.0  # how far back filament has been pulled just now, as a negative number
     _time_was: bytes | None = None  # of the line that comes next
 
     @property
-    def total(self) -> FloatArray:
-        """(6,) of everything."""
-        return np.sum([np.zeros(COLUMNS), *self.features.values()], axis=0)
-
-    @property
-    def spent(self) -> Spent:
+    def total(self) -> Spent:
         """Times of everything."""
-        return Spent.of(self.total)
-
-    @property
-    def spent_by_feature(self) -> dict[str, Spent]:
-        """Times by the slicer's feature names."""
-        return {name: Spent.of(row) for name, row in self.features.items()}
+        return sum(self.features.values(), Spent())
 
     @property
     def layers_in_order(self) -> list[Layer]:
-        """The lines before the first layer, if any, and the layers: by the file's comments, or else by height."""
-        keys = sorted(self.layers)
-        heights, named = [k for k in keys if k < 0], [k for k in keys if k >= 0]
-        if named:
-            before = [reduce(Layer.with_more, map(self.layers.__getitem__, heights))] if heights else []
-            rows = [*((BEFORE, each) for each in before), *((k, self.layers[k]) for k in named)]
-        else:  # the lowest key is of lines before any extrusion
-            rows = list(enumerate(map(self.layers.__getitem__, heights), BEFORE if _HEIGHT_0 in heights else 0))
-        return [replace(layer, number=None if number == BEFORE else number) for number, layer in rows]
+        """The lines before the first layer, if any, and the layers that the file's comments name."""
+        return list(self.layers.values())
 
     @property
     def unknown_waits(self) -> list[Unknown]:
@@ -286,7 +241,7 @@ class Statistics:
         waiting = np.array(waits).reshape(-1, 3)
         line = np.concatenate([moves.line[counted], waiting[:, 0].astype(np.int64)])
         kind = np.concatenate([_kinds(lines_of(moves).travels[counted], fed), waiting[:, 1].astype(np.int64)])
-        rows, tops, count = np.zeros((len(line), COLUMNS)), np.full(len(line), -np.inf), len(fed)
+        rows, tops, count = np.zeros((len(line), FILAMENT + 1)), np.full(len(line), -np.inf), len(fed)
         rows[np.arange(len(line)), kind] = np.append(
             [] if part.plan is None else part.plan.duration[counted], waiting[:, 2]
         )
@@ -294,15 +249,13 @@ class Statistics:
         tops[:count] = np.where(kind[:count] == EXTRUDING, moves.end[counted, 2], -np.inf)
         self._feed(fed)
         self.moves += len(np.unique(moves.line[counted]))
-        order = np.argsort(line, kind="stable")
-        line, rows, tops = line[order], rows[order], tops[order]
         names = [self._feature, *(name for _, name in features)]
-        for k, row, _ in summed(np.searchsorted([at for at, _ in features], line, side="right"), rows):
-            self.features[names[k]] = self.features.get(names[k], 0.0) + row
-        number = self._layer + np.searchsorted(layers, line, side="right")
-        key = np.where(number == BEFORE, self._heights(tops), number)
-        for k, row, first in summed(key, rows):
-            layer = Layer(row, part.program.first_line + 1 + int(line[first]), float(tops[key == k].max()))
+        for k, which in grouped(np.searchsorted([at for at, _ in features], line, side="right")):
+            self.features[names[k]] = self.features.get(names[k], Spent()) + _spent(rows[which])
+        for k, which in grouped(self._layer + np.searchsorted(layers, line, side="right")):
+            first = part.program.first_line + 1 + int(line[which].min())
+            number = None if k == BEFORE else k
+            layer = Layer(number, first, float(tops[which].max()), _spent(rows[which]))
             self.layers[k] = self.layers[k].with_more(layer) if k in self.layers else layer
         self._layer += len(layers)
         self._feature = names[-1]
@@ -335,14 +288,6 @@ class Statistics:
             self._time_was = None
         return layers, features, waits
 
-    def _heights(self, tops: FloatArray) -> IntArray:
-        """Return the key of each move's height, that of the last extruding move; tops : (n,) mm, or -inf."""
-        last = np.maximum.accumulate(np.where(np.isfinite(tops), np.arange(len(tops)), -1))
-        height = 1 + np.floor(np.maximum(tops[np.maximum(last, 0)], 0.0) / BAND_MM + 0.5).astype(np.int64)
-        heights = np.where(last >= 0, _HEIGHT_0 + height, self._height)
-        self._height = int(heights[-1]) if len(heights) else self._height
-        return heights
-
     def _feed(self, fed: FloatArray) -> None:
         """Count retractions, and new filament: retracted filament that is fed again does not count."""
         if not len(fed):
@@ -356,6 +301,18 @@ class Statistics:
         gone = self._fed_mm + np.cumsum(fed)
         self._fed_mm = float(gone[-1])
         self.filament_mm = max(self.filament_mm, float(gone.max()))
+
+
+def grouped(keys: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Yield each of the keys (n,) once, in ascending order, with the indices where it stands."""
+    order = np.argsort(keys, kind="stable")
+    unique, first = np.unique(keys[order], return_index=True)
+    yield from zip(unique.tolist(), np.split(order, first[1:]), strict=True)
+
+
+def _spent(rows: FloatArray) -> Spent:
+    """Add up rows, (n, 6)."""
+    return Spent(*rows.sum(axis=0).tolist())
 
 
 def _kinds(travels: NDArray[np.bool_], fed: FloatArray) -> IntArray:

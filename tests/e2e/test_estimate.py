@@ -16,7 +16,7 @@ from ffcomp.cli.app import app
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices
-from ffcomp.estimation.statistics import EXTRUDING, PRIMING, RETRACTING, TRAVELLING, WAITING, Statistics, seconds
+from ffcomp.estimation.statistics import Statistics
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
 from gcode.program import Program
@@ -51,10 +51,10 @@ def test_every_kind_of_time_in_closed_form() -> None:
     statistics = estimated(SIMPLE).statistics
     filament_acceleration = machine().limits.acceleration_mm_per_s2 * 16 * 0.4**2 / (math.pi * 1.75**2)
     total = statistics.total
-    assert total[EXTRUDING] == pytest.approx(2 * ramp_s(40, 50, 2000))
-    assert total[TRAVELLING] == pytest.approx(ramp_s(40, 100, 2000) + ramp_s(0.2, 10, 2000))
-    assert total[RETRACTING] == total[PRIMING] == pytest.approx(ramp_s(1, 20, filament_acceleration))
-    assert total[WAITING] == 1.5
+    assert total.extruding_s == pytest.approx(2 * ramp_s(40, 50, 2000))
+    assert total.travelling_s == pytest.approx(ramp_s(40, 100, 2000) + ramp_s(0.2, 10, 2000))
+    assert total.retracting_s == total.priming_s == pytest.approx(ramp_s(1, 20, filament_acceleration))
+    assert total.waiting_s == 1.5
     assert statistics.filament_mm == pytest.approx(5.0)  # the millimetre that was pulled back came again
     assert statistics.retractions == 1
 
@@ -81,7 +81,7 @@ def test_parts_add_up_to_the_whole_plan() -> None:
     assert stops_and_waits(program)[1].sum() == 0.0
     for part_bytes in (300, 5_000, 1 << 20):
         statistics = account_of(data, part_bytes)
-        assert seconds(statistics.total) == pytest.approx(whole, rel=1e-12)
+        assert statistics.total.time_s == pytest.approx(whole, rel=1e-12)
         assert statistics.moves == len(program.moves)
         numbers = [layer.number for layer in statistics.layers_in_order]
         assert len(numbers) > 5 and numbers == list(range(len(numbers)))
@@ -90,7 +90,7 @@ def test_parts_add_up_to_the_whole_plan() -> None:
 def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     places = (b"G1 X%.3f Y%.3f E.05 F6000\n" % spiral(k) for k in range(6000))
     data = START + b"".join(places)
-    whole = seconds(account_of(data).total)
+    whole = account_of(data).total.time_s
     monkeypatch.setattr(cutting, "MOST_MOVES", 500)
     held = [
         len(span.program.moves)
@@ -99,7 +99,7 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
     assert len(held) > 5 and max(held) < 2000
     statistics = account_of(data, 9_000)
     assert statistics.moves == 6001 - 1  # the first one begins nowhere
-    assert seconds(statistics.total) == pytest.approx(whole, abs=1e-9)
+    assert statistics.total.time_s == pytest.approx(whole, abs=1e-9)
 
 
 def planned(program: Program) -> object:
@@ -123,7 +123,7 @@ def test_the_real_host_takes_as_long() -> None:
     statistics = Statistics()
     for span in planned_slices(read_parts([text], flavor="klipper", start=(0.0, 0.0, 10.0)), planned):
         statistics.add(span)
-    assert seconds(statistics.total) == pytest.approx(host["print_s"], abs=1e-6)
+    assert statistics.total.time_s == pytest.approx(host["print_s"], abs=1e-6)
 
 
 # -- the times in a compensated file --
