@@ -20,7 +20,7 @@ import numpy as np
 
 from ffcomp import shapers
 from ffcomp.comparison.baselines import shaped
-from ffcomp.comparison.methods import segments, segments_motion
+from ffcomp.comparison.methods import segments
 from ffcomp.inverse.settings import WriterSettings, settings_for
 from ffcomp.planner.trajectory import Trajectory
 from studies.render import save
@@ -77,7 +77,7 @@ def whole_rows(name: str, original: judge.Original) -> Iterator[Row]:
 def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) -> Iterator[Row]:
     ours = judge.compensated(original)
     own = segments(ours, original.machine)
-    answer = judge.answer(original, segments_motion(own))
+    answer = judge.answer(original, own.motion)
     yield row("**ffcomp**", judge.score(original, answer), none, own.trajectory, original.trajectory)
     far = np.hypot(*plan.wanted[:, :2].T).max() >= FAR_MM
     if os.environ.get("KALICO_PYTHON"):
@@ -159,7 +159,7 @@ def ablation_rows(original: judge.Original) -> Iterator[Row]:
     for label, changed in ABLATIONS.items():
         ours = judge.compensated(original, replace(usual, **changed))
         own = segments(ours, original.machine)
-        score = judge.judge(original, segments_motion(own))
+        score = judge.judge(original, own.motion)
         yield row(label, score, none, own.trajectory, original.trajectory)
 
 

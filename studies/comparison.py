@@ -20,7 +20,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.equal_quality import equal_qualities, within_limits
+from ffcomp.comparison.equal_quality import equal_qualities
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
@@ -160,14 +160,11 @@ def _executed(
 ) -> tuple[list[list[Execution]], bool]:
     """Return the executions on each plant, and whether the commands are within the carriages' limits."""
     found: list[list[Execution]] = [[] for _ in plants]
-    within = True
-    for each in slices:
-        motion, _ = method.motion(each)
-        within = within and within_limits(*motion.peaks(each.machine), each.machine)
-        played = simulate_nozzles(plants, [motion], each.machine)
-        for own, (t, nozzle) in zip(found, played, strict=True):
-            own.append(Execution(each, motion, t, nozzle))
-    return found, within
+    commanded = method.commands(slices)
+    for part, motion in commanded.pieces:
+        for own, (t, nozzle) in zip(found, simulate_nozzles(plants, [motion], part.machine), strict=True):
+            own.append(Execution(part, motion, t, nozzle))
+    return found, commanded.peaks.within_limits
 
 
 # ---- the few best --------------------------------------------------------------------------------

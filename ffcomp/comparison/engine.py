@@ -11,28 +11,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ffcomp.comparison import methods as every
 from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter
-from ffcomp.comparison.equal_quality import QUALITY, equal_qualities, within_limits
-from ffcomp.comparison.evaluation import (
-    SAMPLE_S,
-    Execution,
-    Piece,
-    Progress,
-    Stages,
-    by,
-    evaluate,
-    execute,
-    in_parallel,
-    track,
-)
-from ffcomp.comparison.methods import COMPENSATED, TunedMethod
-from ffcomp.comparison.result import Comparison, Method, Peaks
+from ffcomp.comparison.equal_quality import QUALITY, equal_qualities
+from ffcomp.comparison.evaluation import SAMPLE_S, Execution, Progress, Stages, evaluate, execute, in_parallel
+from ffcomp.comparison.methods import COMPENSATED, CommandedSlices, TunedMethod
+from ffcomp.comparison.result import Comparison, Method
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, WHOLE_PRINT, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.request import CompensateOptions
@@ -112,10 +101,6 @@ def compare(
         methods=evaluated,
         best_fixed=_best_fixed(evaluated),
         compensated=written_method,
-        limits={
-            "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
-            "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
-        },
         quality_bound_um=quality_um,
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
@@ -166,16 +151,6 @@ def _tuned(
     return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Commanded:
-    """A method's commands."""
-
-    pieces: list[Piece]
-    peaks: Peaks
-    print_time_s: float
-    warnings: tuple[str, ...]
-
-
 def _evaluated(
     tuned: Sequence[TunedMethod],
     slices: Sequence[PrintSlice],
@@ -184,7 +159,7 @@ def _evaluated(
     progress: Progress,
 ) -> dict[str, Method]:
     """Command, execute and evaluate every method."""
-    commanded = in_parallel([partial(_commanded, method, slices) for method in tuned], PLANNING, progress)
+    commanded = in_parallel([partial(method.commands, slices) for method in tuned], PLANNING, progress)
     executions = execute(plant, [piece for each in commanded for piece in each.pieces], PRINTING, progress)
     evaluated, count = {}, len(slices)
     for k, (method, each) in enumerate(zip(tuned, commanded, strict=True)):
@@ -192,36 +167,19 @@ def _evaluated(
     return evaluated
 
 
-def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> _Commanded:
-    pieces, peaks, statistics = [], [], []
-    for print_slice in slices:
-        motion, numbers = method.motion(print_slice)
-        pieces.append((print_slice, motion))
-        peaks.append(motion.peaks(print_slice.machine))
-        statistics.append(numbers)
-    velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
-    within = within_limits(velocity, acceleration, slices[0].machine)
-    longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
-    seconds = sum(each.trajectory.end_t for each in slices) + longer
-    warnings = tuple(sentence for each in statistics if each is not None for sentence in each.warnings)
-    return _Commanded(pieces, Peaks(velocity, acceleration, within), seconds, warnings)
-
-
 def _method(
-    method: TunedMethod, commanded: _Commanded, executions: Sequence[Execution], features: Sequence[str]
+    method: TunedMethod, commanded: CommandedSlices, executions: Sequence[Execution], features: Sequence[str]
 ) -> Method:
-    evaluation = evaluate(executions)
-    s, peak = evaluation.samples, commanded.peaks.acceleration_mm_per_s2
-    everywhere = np.ones(len(s.due), dtype=np.bool_)
+    s, times_and_peak = evaluate(executions), (commanded.print_time_s, commanded.peaks.acceleration_mm_per_s2)
     return Method(
         name=method.name,
         label=method.label,
         family=method.family,
         tuning=method.tuning,
-        track=track(evaluation, everywhere, commanded.print_time_s, peak),
-        extruding=track(evaluation, s.extruding, commanded.print_time_s, peak),
-        by_layer=by(s.layer, s),
-        by_feature={features[k]: error for k, error in by(s.feature, s).items()},
+        track=s.track(np.ones(len(s.due), dtype=np.bool_), *times_and_peak),
+        extruding=s.track(s.extruding, *times_and_peak),
+        by_layer=s.by(s.layer),
+        by_feature={features[k]: error for k, error in s.by(s.feature).items()},
         peaks=commanded.peaks,
         samples=s,
         warnings=commanded.warnings,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
-from ffcomp.comparison.evaluation import Piece, Progress, contour, execute, in_parallel
+from ffcomp.comparison.evaluation import Progress, contour, execute, in_parallel
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.result import EqualQuality
 from ffcomp.comparison.sampling import Print, PrintSlice, accelerated
@@ -125,34 +126,15 @@ def _p99_um(
 ) -> list[float]:
     """Return each method's 99th percentile at its acceleration; infinite if its command breaks a carriage's limit."""
     tasks = [
-        partial(_pieces, method, [each.with_acceleration(acceleration) for each in slices])
+        partial(method.commands, [each.with_acceleration(acceleration) for each in slices])
         for method, acceleration in zip(tuned, accelerations, strict=True)
     ]
-    pieces = in_parallel(tasks, "", lambda what, share: progress(what, share / 2))
-    together, tell = [piece for group in pieces for piece in group], lambda what, share: progress(what, (1 + share) / 2)
-    executions = execute(plant, together, "", tell, coarse=True)
-    p99, at = [], 0
-    for group in pieces:
-        executed, at = executions[at : at + len(group)], at + len(group)
-        p99.append(contour_statistics(contour(executed)).p99_um if executed else np.inf)
-    return p99
-
-
-def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:
-    """Command every slice; none where the command breaks a limit."""
-    pieces: list[Piece] = []
-    for each in slices:
-        motion, _ = method.motion(each)
-        if not within_limits(*motion.peaks(each.machine), each.machine):
-            return []
-        pieces.append((each, motion))
-    return pieces
-
-
-def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:
-    """Return whether the machine file allows its carriages such a command; a thousandth over is rounding."""
-    limits = machine.limits
-    return (
-        velocity <= 1.001 * limits.carriage_velocity_mm_per_s
-        and acceleration <= 1.001 * limits.carriage_acceleration_mm_per_s2
+    commanded = in_parallel(tasks, "", lambda what, share: progress(what, share / 2))
+    allowed = [each.pieces if each.peaks.within_limits else [] for each in commanded]
+    together, tell = (
+        [piece for group in allowed for piece in group],
+        lambda what, share: progress(what, (1 + share) / 2),
     )
+    executions = iter(execute(plant, together, "", tell, coarse=True))
+    executed = [list(islice(executions, len(group))) for group in allowed]
+    return [contour_statistics(contour(group)).p99_um if group else np.inf for group in executed]

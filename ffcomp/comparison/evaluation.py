@@ -9,19 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
-from ffcomp.comparison.result import Error, Samples
+from ffcomp.comparison.result import Samples
 from ffcomp.comparison.sampling import SETTLE_S, PrintSlice
 from ffcomp.errors import NothingToDo
-from ffcomp.metrics import Track, Tracking, build_track, contour_error, contour_statistics, end_to_end, rms, tracking
+from ffcomp.metrics import contour_error, end_to_end, tracking
 from ffcomp.simulation.command import Motion
 from ffcomp.simulation.playback import JOBS, SAMPLE_S, side_by_side, simulate_nozzles
-from models.arrays import BoolArray, FloatArray, IntArray
+from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 
 T = TypeVar("T")
@@ -59,15 +59,6 @@ def in_parallel(tasks: Sequence[Callable[[], T]], what: str, progress: Progress)
 
 
 @dataclass(frozen=True, eq=False)
-class MethodEvaluation:
-    """One method, evaluated at m samples of all slices."""
-
-    samples: Samples
-    late: FloatArray  # (m, 3) mm, where the nozzle should have been `delay_s` earlier
-    delay_s: float  # the constant delay that explains most of the tracking error
-
-
-@dataclass(frozen=True, eq=False)
 class Execution:
     """One motion, executed on one slice."""
 
@@ -81,69 +72,52 @@ class Execution:
         """(m,) samples that are evaluated."""
         return self.t >= self.motion.clock.executed_t[0] + SETTLE_S
 
-    def reference(self, t: FloatArray) -> FloatArray:
-        """Return where the nozzle should be at times (k,) s of the motion's clock, (k, 3) mm."""
-        return np.ascontiguousarray(self.print_slice.trajectory.position(self.motion.clock.plan_time(t))[:, :3])
+    @property
+    def due(self) -> FloatArray:
+        """When the counted samples are due on the plan's clock, (k,) s."""
+        return self.motion.clock.plan_time(self.t[self.counted])
+
+    def reference(self, delay_s: float = 0.0) -> FloatArray:
+        """Return where the nozzle should have been a delay before the counted samples, (k, 3) mm."""
+        due = self.motion.clock.plan_time(self.t[self.counted] - delay_s)
+        return np.ascontiguousarray(self.print_slice.trajectory.position(due)[:, :3])
+
+    @property
+    def contour(self) -> FloatArray:
+        """The contour error of the counted samples, (k,) mm."""
+        return contour_error(*self.print_slice.corners, self.due, self.nozzle[self.counted])
+
+    def samples(self, delay_s: float) -> Samples:
+        """Return what is counted."""
+        part = self.print_slice
+        moves = part.trajectory.move_at(self.due)
+        return Samples(
+            due=self.due + (part.begin_t - float(part.trajectory.start_t[0])),
+            reference=self.reference(),
+            late=self.reference(delay_s),
+            nozzle=self.nozzle[self.counted],
+            contour=self.contour,
+            layer=part.layer[moves],
+            feature=part.feature[moves],
+            extruding=part.extrudes[moves],
+        )
 
 
 def contour(executions: Sequence[Execution]) -> FloatArray:
     """Return the contour error of the counted samples, (m,) mm."""
-    dues = [each.motion.clock.plan_time(each.t[each.counted]) for each in executions]
-    pairs = zip(executions, dues, strict=True)
-    return np.concatenate([contour_error(*e.print_slice.corners, due, e.nozzle[e.counted]) for e, due in pairs])
+    return np.concatenate([each.contour for each in executions])
 
 
-def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
+def evaluate(executions: Sequence[Execution]) -> Samples:
     """Evaluate one method over all slices; NothingToDo if every slice is shorter than SETTLE_S."""
     executions = [each for each in executions if each.counted.any()]
     if not executions:
         raise NothingToDo(f"The requested part of the print lasts less than {SETTLE_S} s: nothing to evaluate.")
-    times = [each.t[each.counted] for each in executions]
-    nozzle = [each.nozzle[each.counted] for each in executions]
-    reference = [each.reference(t) for each, t in zip(executions, times, strict=True)]
-    delay = tracking(*end_to_end(reference, nozzle), SAMPLE_S).delay_s
-    late = [each.reference(t - delay) for each, t in zip(executions, times, strict=True)]
-    due = [each.motion.clock.plan_time(t) for each, t in zip(executions, times, strict=True)]
-    moves = [each.print_slice.trajectory.move_at(d) for each, d in zip(executions, due, strict=True)]
-    origin = [each.print_slice.begin_t - float(each.print_slice.trajectory.start_t[0]) for each in executions]
-    samples = Samples(
-        due=np.concatenate([d + o for d, o in zip(due, origin, strict=True)]),
-        reference=np.concatenate(reference),
-        nozzle=np.concatenate(nozzle),
-        contour=contour(executions),
-        layer=np.concatenate([each.print_slice.layer[m] for each, m in zip(executions, moves, strict=True)]),
-        feature=np.concatenate([each.print_slice.feature[m] for each, m in zip(executions, moves, strict=True)]),
-        extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
-    )
-    return MethodEvaluation(samples, np.concatenate(late), delay)
-
-
-def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
-    """Build the TRACK of some of the samples: which : (m,)."""
-    s = evaluation.samples
-    distance = np.linalg.norm((s.nozzle - s.reference)[which], axis=1)
-    at_equal_times = Tracking(
-        rms(distance),
-        float(distance.max(initial=0.0)),
-        evaluation.delay_s,
-        rms(np.linalg.norm((s.nozzle - evaluation.late)[which], axis=1)),
-    )
-    return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration)
-
-
-def contour_numbers(samples: Samples, which: BoolArray) -> Error:
-    """Return the contour error of some of the samples: which : (m,)."""
-    error = contour_statistics(samples.contour[which])
-    share = float(np.count_nonzero(which)) / max(len(which), 1)
-    return Error(error.rms_um, error.p99_um, error.max_um, share)
-
-
-def by(labels: IntArray, samples: Samples) -> dict[int, Error]:
-    """Return the contour error by label of the samples where plastic flows, or of all if it flows nowhere."""
-    shows = samples.extruding if samples.extruding.any() else np.ones(len(labels), dtype=np.bool_)
-    errors = {int(k): contour_numbers(samples, shows & (labels == k)) for k in np.unique(labels[shows])}
-    total = max(sum(each.share for each in errors.values()), 1e-12)
-    return {k: replace(each, share=each.share / total) for k, each in errors.items()}
+    nozzles = [each.nozzle[each.counted] for each in executions]
+    delay = tracking(*end_to_end([each.reference() for each in executions], nozzles), SAMPLE_S).delay_s
+    parts = [each.samples(delay) for each in executions]
+    names = [each.name for each in fields(Samples) if each.name != "delay_s"]
+    return Samples(**{name: np.concatenate([getattr(each, name) for each in parts]) for name in names}, delay_s=delay)
 
 
 Piece = tuple[PrintSlice, Motion]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter, Shaping, shaped
-from ffcomp.comparison.result import Family
+from ffcomp.comparison.result import Family, Peaks
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.plan import Context, PlannedChunk
@@ -59,6 +59,11 @@ class Segments:
         """Return the clock of these segments when segment k begins at start_t[k], whoever planned them."""
         return self.starts.clock(start_t)
 
+    @property
+    def motion(self) -> Motion:
+        """Them as our own planner plans them."""
+        return motion_of(self.trajectory, self.clock(self.trajectory.start_t))
+
 
 def segments(
     file: Compensated, machine: Machine, before: bytes = b"", start: tuple[float, float, float] | None = None
@@ -78,13 +83,6 @@ def segments(
     number = np.cumsum(travels) - 1
     starts = replace(starts, move=number[starts.move], passing=number[starts.passing])
     return Segments(pick(trajectory, travels), starts)
-
-
-def segments_motion(compensated_segments: Segments) -> Motion:
-    """Execute the compensated file as our own planner plans it."""
-    return motion_of(
-        compensated_segments.trajectory, compensated_segments.clock(compensated_segments.trajectory.start_t)
-    )
 
 
 def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
@@ -116,6 +114,16 @@ Executor = Callable[[PrintSlice], tuple[Motion, Statistics | None]]
 
 
 @dataclass(frozen=True, eq=False)
+class CommandedSlices:
+    """A method's commands of some slices."""
+
+    pieces: list[tuple[PrintSlice, Motion]]
+    peaks: Peaks
+    print_time_s: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class TunedMethod:
     """One method, ready to execute any slice."""
 
@@ -124,6 +132,21 @@ class TunedMethod:
     family: Family
     tuning: str
     motion: Executor
+
+    def commands(self, slices: Sequence[PrintSlice]) -> CommandedSlices:
+        """Command every slice; a thousandth over a carriage's limit is rounding."""
+        motions, statistics = zip(*map(self.motion, slices), strict=True)
+        limits, peaks = slices[0].machine.limits, [motion.peaks(slices[0].machine) for motion in motions]
+        velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
+        within = velocity <= 1.001 * limits.carriage_velocity_mm_per_s
+        within = within and acceleration <= 1.001 * limits.carriage_acceleration_mm_per_s2
+        longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
+        return CommandedSlices(
+            pieces=list(zip(slices, motions, strict=True)),
+            peaks=Peaks(velocity, acceleration, within),
+            print_time_s=sum(each.trajectory.end_t for each in slices) + longer,
+            warnings=tuple(sentence for each in statistics if each is not None for sentence in each.warnings),
+        )
 
 
 def none() -> TunedMethod:
@@ -167,6 +190,6 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
 
     def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
         file = compensated(s.planned, inverse_model, s.flavor, s.offset)
-        return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
+        return segments(file, s.machine, s.before, s.start).motion, file.statistics
 
     return TunedMethod(name, label, "inversion", tuning, motion)

@@ -6,11 +6,13 @@ The bad news is said as plainly as the good.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from ffcomp.inverse.robust import PLAIN, RobustChoice
-from ffcomp.metrics import Track
+from ffcomp.metrics import Track, Tracking, build_track, contour_statistics, rms
 from ffcomp.numerics.digits import um
 from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.result import Fact, Result, clock
@@ -22,19 +24,6 @@ FIGURES = ("methods", "close-up", "errors-by-layer", "errors-by-feature")
 Family = Literal["none", "calibrated", "best fixed", "inversion"]
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """One executed method at m evenly spaced instants (with a gap where the sampled print has one)."""
-
-    due: FloatArray  # (m,) s, when on the reference plan's clock
-    reference: FloatArray  # (m, 3) mm, where the nozzle should be then
-    nozzle: FloatArray  # (m, 3) mm, where it is
-    contour: FloatArray  # (m,) mm, distance to the reference path's segments
-    layer: IntArray  # (m,) the layer's number in the print, from 0
-    feature: IntArray  # (m,) index into Comparison.features: the slicer's ;TYPE:
-    extruding: BoolArray  # (m,) plastic flows, so that it shows
-
-
 @dataclass(frozen=True, slots=True)
 class Error:
     """Contour error over some of the samples, µm."""
@@ -43,6 +32,40 @@ class Error:
     p99_um: float  # 99 % of the samples are closer
     max_um: float  # the largest
     share: float  # of the samples where plastic flows
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One executed method at m evenly spaced instants (with a gap where the sampled print has one)."""
+
+    due: FloatArray  # (m,) s, when on the reference plan's clock
+    reference: FloatArray  # (m, 3) mm, where the nozzle should be then
+    late: FloatArray  # (m, 3) mm, where it should have been `delay_s` earlier
+    nozzle: FloatArray  # (m, 3) mm, where it is
+    contour: FloatArray  # (m,) mm, distance to the reference path's segments
+    layer: IntArray  # (m,) the layer's number in the print, from 0
+    feature: IntArray  # (m,) index into Comparison.features: the slicer's ;TYPE:
+    extruding: BoolArray  # (m,) plastic flows, so that it shows
+    delay_s: float = 0.0  # the constant delay that explains most of the tracking error
+
+    def error(self, which: BoolArray) -> Error:
+        """Return the contour error of some of the samples: which : (m,)."""
+        error = contour_statistics(self.contour[which])
+        return Error(error.rms_um, error.p99_um, error.max_um, float(np.count_nonzero(which)) / max(len(which), 1))
+
+    def by(self, labels: IntArray) -> dict[int, Error]:
+        """Return the contour error by label of the samples where plastic flows, or of all if it flows nowhere."""
+        shows = self.extruding if self.extruding.any() else np.ones(len(labels), dtype=np.bool_)
+        errors = {int(k): self.error(shows & (labels == k)) for k in np.unique(labels[shows])}
+        total = max(sum(each.share for each in errors.values()), 1e-12)
+        return {k: replace(each, share=each.share / total) for k, each in errors.items()}
+
+    def track(self, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
+        """Build the TRACK of some of the samples: which : (m,)."""
+        distance = np.linalg.norm((self.nozzle - self.reference)[which], axis=1)
+        not_late = rms(np.linalg.norm((self.nozzle - self.late)[which], axis=1))
+        at_equal_times = Tracking(rms(distance), float(distance.max(initial=0.0)), self.delay_s, not_late)
+        return build_track(at_equal_times, self.contour[which], print_time_s, peak_acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +141,6 @@ class Comparison(Result):
     methods: dict[str, Method]  # in the order of the table
     best_fixed: str  # names in `methods`: the fixed shaper with the least contour error
     compensated: str  # name of the method that `compensate` writes with this machine file
-    limits: dict[str, float] = field(
-        default_factory=dict
-    )  # carriage_velocity_mm_per_s, carriage_acceleration_mm_per_s2
     quality_bound_um: float = 25.0
     seconds: float = 0.0  # that the comparison took
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
@@ -129,6 +149,12 @@ class Comparison(Result):
     robust: RobustChoice = PLAIN  # default of `compensate` with this machine file
     expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
     notes: tuple[str, ...] = ()  # sentences on the compared print, if it is not the file itself
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits of the carriages."""
+        names = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2")
+        return {name: getattr(self.machine.limits, name) for name in names}
 
     @property
     def tracks(self) -> dict[str, Track]:
@@ -314,9 +340,8 @@ def _speed(quality: EqualQuality) -> str:
 
 def _limits(comparison: Comparison) -> str:
     ours, beyond = comparison.ours, [m for m in comparison.methods.values() if not m.peaks.within_limits]
-    velocity = comparison.limits.get("carriage_velocity_mm_per_s")
-    most = comparison.limits.get("carriage_acceleration_mm_per_s2")
-    allowed = "" if velocity is None or most is None else f" ({velocity:.0f} mm/s, {acceleration(most)})"
+    velocity, most = comparison.limits.values()
+    allowed = f" ({velocity:.0f} mm/s, {acceleration(most)})"
     if ours in beyond:
         return (
             f"ffcomp asks the carriages for {ours.peaks.velocity_mm_per_s:.0f} mm/s and "

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tomlkit
 
-from ffcomp.comparison.methods import segments, segments_motion
+from ffcomp.comparison.methods import segments
 from ffcomp.simulation.command import SectionClock, motion_of
 from models.file import load_machine
 from models.vibration.scheduled import plant_table
@@ -33,7 +33,7 @@ def both(name: str) -> tuple[judge.Answer, judge.Answer]:
     """The plant's answers to the plan itself and to the compensated file."""
     case = case_of(name)
     plain = judge.answer(case.original, case.original.motion)
-    return plain, judge.answer(case.original, segments_motion(case.segments))
+    return plain, judge.answer(case.original, case.segments.motion)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -63,7 +63,7 @@ def test_the_command_is_one_that_motors_follow(name: str) -> None:
 def test_a_wrong_clock_would_be_seen() -> None:
     """The judge itself: the same command, said to be 1 ms later, has a delay of 1 ms and is told off for it."""
     case = case_of("ringing_tower")
-    motion = segments_motion(case.segments)
+    motion = case.segments.motion
     right = judge.judge(case.original, motion)
     clock = motion.clock
     late = SectionClock(clock.executed_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)

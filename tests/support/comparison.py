@@ -11,9 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.comparison.evaluation import by, contour_numbers
 from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Peaks, Samples
-from ffcomp.metrics import Track
 from models.file import load_machine
 
 MACHINE = load_machine("mp-delta-pro")
@@ -43,6 +41,7 @@ def samples(amplitude_mm: float) -> Samples:
     return Samples(
         due=SAMPLE_S * np.arange(count),
         reference=np.concatenate(wanted),
+        late=np.concatenate(wanted),
         nozzle=np.concatenate(wanted) + np.concatenate(across),
         contour=np.linalg.norm(np.concatenate(across), axis=1),
         layer=side // 4,
@@ -51,29 +50,14 @@ def samples(amplitude_mm: float) -> Samples:
     )
 
 
-def track(s: Samples, which: Any) -> Track:
-    error = contour_numbers(s, which)
-    return Track(
-        tracking_rms_um=1.5 * error.rms_um,
-        tracking_max_um=2.0 * error.max_um,
-        contour_rms_um=error.rms_um,
-        contour_p99_um=error.p99_um,
-        contour_max_um=error.max_um,
-        delay_s=0.0,
-        tracking_rms_no_delay_um=error.rms_um,
-        print_time_s=float(s.due[-1]),
-        peak_command_acceleration_mm_per_s2=6e3,
-    )
-
-
 def method(name: str, label: str, family: Family, amplitude_um: float, **about: Any) -> Method:
     s = about.pop("samples", None) or samples(1e-3 * amplitude_um)
     given: dict[str, Any] = {
         "tuning": "x 40.0 Hz, y 41.0 Hz: as a test sets it.",
-        "track": track(s, np.ones(len(s.due), dtype=bool)),
-        "extruding": track(s, s.extruding),
-        "by_layer": by(s.layer, s),
-        "by_feature": {FEATURES[k]: error for k, error in by(s.feature, s).items()},
+        "track": s.track(np.ones(len(s.due), dtype=bool), float(s.due[-1]), 6e3),
+        "extruding": s.track(s.extruding, float(s.due[-1]), 6e3),
+        "by_layer": s.by(s.layer),
+        "by_feature": {FEATURES[k]: error for k, error in s.by(s.feature).items()},
         "peaks": Peaks(120.0, 6000.0, True),
     }
     return Method(name, label, family, samples=s, **(given | about))
@@ -100,7 +84,6 @@ def comparison(
         "methods": {each.name: each for each in judged},
         "best_fixed": "mzv",
         "compensated": "fbs-lpv",
-        "limits": {"carriage_velocity_mm_per_s": 300.0, "carriage_acceleration_mm_per_s2": 2e4},
         "quality_bound_um": 25.0,
         "acceleration_mm_per_s2": 5000.0,
     }

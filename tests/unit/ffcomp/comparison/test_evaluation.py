@@ -9,7 +9,7 @@ import pytest
 
 from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.equal_quality import HIGHEST, LOWEST, ROUNDS, Search
-from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour_numbers, evaluate, track
+from ffcomp.comparison.evaluation import SAMPLE_S, Execution, evaluate
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.simulation.expectation import Piece
 from models.file import load_machine
@@ -35,18 +35,18 @@ def played(stretch: PrintSlice, error_mm: np.ndarray | None = None, late_s: floa
 
 def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: PrintSlice) -> None:
     found = evaluate([played(stretch, np.array([0.0, 0.0, 0.01]))])
-    everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
-    numbers = track(found, everywhere, 1.0, 2.0)
+    everywhere = np.ones(len(found.due), dtype=np.bool_)
+    numbers = found.track(everywhere, 1.0, 2.0)
     assert numbers.tracking_rms_um == pytest.approx(10.0, rel=1e-9)
-    flat = np.ptp(found.samples.reference[:, 2]) < 1e-9
-    assert flat or contour_numbers(found.samples, found.samples.extruding).rms_um == pytest.approx(10.0)
+    flat = np.ptp(found.reference[:, 2]) < 1e-9
+    assert flat or found.error(found.extruding).rms_um == pytest.approx(10.0)
     assert (numbers.print_time_s, numbers.peak_command_acceleration_mm_per_s2) == (1.0, 2.0)
 
 
 def test_a_late_nozzle_tracks_badly_and_prints_well(stretch: PrintSlice) -> None:
     found = evaluate([played(stretch, late_s=0.002)])
-    everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
-    numbers = track(found, everywhere, 1.0, 1.0)
+    everywhere = np.ones(len(found.due), dtype=np.bool_)
+    numbers = found.track(everywhere, 1.0, 1.0)
     assert numbers.delay_s == pytest.approx(0.002, abs=2e-6)
     assert numbers.tracking_rms_um > 100.0
     assert numbers.tracking_rms_no_delay_um < 0.5
