@@ -85,7 +85,7 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     _said(f"{path.stem}: {len(tried)} methods are set", began)
     rows = [_row(pair, slices, machine) for pair in tried]
     ours = [{"label": method.label} | _judged(method, slices, machine) for method in inversions(machine)]
-    none = _judged(every.none(), slices, machine)
+    none = _judged(every.NONE, slices, machine)
     _said("judged", began)
     best = min(range(len(tried)), key=lambda k: rows[k]["best"]["rms_um"])
     plain = [k for k, pair in enumerate(tried) if pair.plain]
@@ -116,7 +116,7 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     p99 = {chosen[0].name: rows[best]["best"]["p99_um"], every.COMPENSATED: ours[-1]["p99_um"]}
     found["quality"] = _quality(own, chosen[:1], p99)
     _said("quality", began)
-    few_best = {"none": every.none(), "best_xy": tried[simple].best, "best": tried[best].best}
+    few_best = {"none": every.NONE, "best_xy": tried[simple].best, "best": tried[best].best}
     few_best["ours"] = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
     judged = [printed.whole()] if whole else slices
     quoted = {key: _judged(method, judged, machine) for key, method in few_best.items()}

@@ -43,7 +43,7 @@ from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration, read_vibrations
-from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from ffcomp.shapers.calibration import fits, normalised, recommended, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration, with_parts
@@ -300,9 +300,9 @@ def shapers_of(path: Path) -> dict[str, Any]:
     file = read_vibration(path)
     assert isinstance(file, Resonances)
     spectrum = (file.frequency_hz, file.psd["xyz"]) if file.normalised else normalised(*file.power("xyz"))
-    found = calibrated(spectrum, spectrum)[0]
-    frequencies = {kind: found.fits[kind].frequency_hz for kind in ("zv", "mzv", "ei")}
-    return {"shapers_hz": frequencies, "recommended": found.recommended.kind}
+    found = fits(spectrum)
+    frequencies = {kind: found[kind].frequency_hz for kind in ("zv", "mzv", "ei")}
+    return {"shapers_hz": frequencies, "recommended": recommended(found.values()).kind}
 
 
 # ---- files ---------------------------------------------------------------------------------------

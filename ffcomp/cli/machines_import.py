@@ -59,7 +59,7 @@ def _loudest_hz(path: Path) -> float:
     from models.file import load_machine
 
     machine = load_machine(path)
-    return float(dominant_frequencies(machine, np.array([machine.kinematics.centre_mm])).min())
+    return float(dominant_frequencies(machine, np.array(machine.kinematics.centre_mm)).min())
 
 
 @dataclass(frozen=True, eq=False, repr=False)

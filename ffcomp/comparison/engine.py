@@ -10,7 +10,7 @@ quality     compare.equal_quality how fast each method may go for the same quali
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -22,10 +22,10 @@ from ffcomp.comparison.equal_quality import QUALITY, equal_qualities
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, Progress, Stages, evaluate, execute, in_parallel
 from ffcomp.comparison.methods import COMPENSATED, CommandedSlices, TunedMethod
 from ffcomp.comparison.result import Comparison, Method
-from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, WHOLE_PRINT, Print, PrintSlice, Sampling, check_long_enough
+from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, WHOLE_PRINT, Print, PrintSlice, Sampling
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.request import CompensateOptions
-from ffcomp.errors import RequestError
+from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
@@ -68,7 +68,10 @@ def compare(
     started, machine = time.perf_counter(), printed.machine
     plant, settings = plant or machine, settings or settings_for(machine)
     slices, sampled = printed.slices(sampling)
-    check_long_enough(slices, printed.path)
+    if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
+        raise NothingToDo(
+            f"{printed.path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare."
+        )
     tuning_slices, _ = printed.slices(sampling, TUNING_PIECE_S, TUNING_S)
     if max(each.trajectory.end_t for each in tuning_slices) < SHORTEST_S:
         tuning_slices = slices  # in small pieces of a short print nothing is left but their beginnings
@@ -77,7 +80,8 @@ def compare(
     chosen = {*names(only), written_method}
     shares = {TUNING: 0.9, PLANNING: 0.25, PRINTING: 0.72} | ({QUALITY: 0.76} if quality_um else {})
     progress = Stages(progress, shares)
-    tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
+    tune = partial(every.tuned, machine=machine, linear=LinearPrinter(plant, tuning_slices), settings=settings)
+    tuned = in_parallel([partial(tune, name) for name in every.NAMES if name in chosen], TUNING, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
     predicted = _predicted(printed, replace(settings, robust=choice.robust)) if predict else NO_FORECAST
@@ -99,12 +103,10 @@ def compare(
         version=__version__,
         features=printed.labels.features,
         methods=evaluated,
-        best_fixed=_best_fixed(evaluated),
         compensated=written_method,
         quality_bound_um=quality_um,
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
-        whole=len(slices) == 1 and slices[0].planned is printed.planned,
         predicted=predicted.tracks,
         robust=choice,
         expected=predicted.expected or _expected(next(m for m in tuned if m.name == written_method), slices),
@@ -126,29 +128,6 @@ def names(only: Sequence[str]) -> Collection[str]:
 
 
 # ---- the methods ---------------------------------------------------------------------------------
-
-
-def _tuned(
-    machine: Machine,
-    plant: Machine,
-    tuning_slices: Sequence[PrintSlice],
-    settings: Settings,
-    names: Collection[str],
-    progress: Progress,
-) -> list[TunedMethod]:
-    """Tune the methods; the searches share the processors."""
-    linear = LinearPrinter(plant, tuning_slices)
-
-    def method(name: str) -> TunedMethod:
-        if name == "none":
-            return every.none()
-        if name in (every.ONE_MODEL, every.ROBUST, COMPENSATED):
-            return every.inversion(machine, settings, name)
-        if name.endswith(every.CALIBRATED):
-            return every.calibrated(linear, name.removesuffix(every.CALIBRATED))
-        return every.best_fixed(linear, name)
-
-    return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
 
 
 def _evaluated(
@@ -184,13 +163,6 @@ def _method(
         samples=s,
         warnings=commanded.warnings,
     )
-
-
-def _best_fixed(methods: Mapping[str, Method]) -> str:
-    """Return the fixed shaper with the least contour rms where plastic flows, or everywhere if it flows nowhere."""
-    flows = any(method.samples.extruding.any() for method in methods.values())
-    fixed = [method for method in methods.values() if method.family == "best fixed"]
-    return min(fixed, key=lambda m: (m.extruding if flows else m.track).contour_rms_um).name
 
 
 def _expected(method: TunedMethod, slices: Sequence[PrintSlice]) -> Expectation | None:

@@ -149,21 +149,20 @@ class TunedMethod:
         )
 
 
-def none() -> TunedMethod:
-    """Return the print without compensation."""
-    tuning = "The firmware's plan as it stands."
-    return TunedMethod("none", "no compensation", "none", tuning, lambda s: (s.motion, None))
+NONE = TunedMethod("none", "no compensation", "none", "The firmware's plan as it stands.", lambda s: (s.motion, None))
 
 
-def calibrated(linear: LinearPrinter, name: str) -> TunedMethod:
-    """Return a shaper as the firmware's own resonance test in the middle of the bed would set it."""
-    shaping, how = Shaping.of(name), "Klipper's calibration from resonance tests in the middle of the bed."
-    return fixed(shaping, linear.calibrated(shaping), "calibrated", how)
-
-
-def best_fixed(linear: LinearPrinter, name: str) -> TunedMethod:
-    """Return a shaper at the fixed settings that serve this very print best."""
-    shaping, how = Shaping.of(name), "the least contour rms on this print, sought with the plant known."
+def tuned(name: str, machine: Machine, linear: LinearPrinter, settings: Settings) -> TunedMethod:
+    """Return one of NAMES; a shaper as the firmware's calibration sets it, or with the best settings for this print."""
+    if name == NONE.name:
+        return NONE
+    if name in (ONE_MODEL, ROBUST, COMPENSATED):
+        return inversion(machine, settings, name)
+    shaping = Shaping.of(name.removesuffix(CALIBRATED))
+    if name.endswith(CALIBRATED):
+        how = "Klipper's calibration from resonance tests in the middle of the bed."
+        return fixed(shaping, linear.calibrated(shaping), "calibrated", how)
+    how = "the least contour rms on this print, sought with the plant known."
     return fixed(shaping, linear.best(shaping).settings, "best fixed", how)
 
 

@@ -21,6 +21,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
 FIGURES = ("methods", "close-up", "errors-by-layer", "errors-by-feature")
+WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
 Family = Literal["none", "calibrated", "best fixed", "inversion"]
 
 
@@ -139,12 +140,10 @@ class Comparison(Result):
     version: str
     features: tuple[str, ...]
     methods: dict[str, Method]  # in the order of the table
-    best_fixed: str  # names in `methods`: the fixed shaper with the least contour error
-    compensated: str  # name of the method that `compensate` writes with this machine file
+    compensated: str  # the one of `methods` that `compensate` writes with this machine file
     quality_bound_um: float = 25.0
     seconds: float = 0.0  # that the comparison took
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
-    whole: bool = False  # the evaluated part is the whole print, in one piece
     predicted: Mapping[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` states it
     robust: RobustChoice = PLAIN  # default of `compensate` with this machine file
     expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
@@ -173,8 +172,13 @@ class Comparison(Result):
 
     @property
     def best(self) -> Method:
-        """The best fixed shaper."""
-        return self.methods[self.best_fixed]
+        """The fixed shaper with the least contour error."""
+        return min((each for each in self.methods.values() if each.family == "best fixed"), key=self.rms_um)
+
+    @property
+    def best_fixed(self) -> str:
+        """Its name in `methods`."""
+        return self.best.name
 
     @property
     def fastest_shaper(self) -> Method | None:
@@ -204,18 +208,43 @@ class Comparison(Result):
 
     @property
     def headline(self) -> str:
-        """Whether it is worth it, and why."""
-        return worth(self)
+        """Whether it is worth it: against the best fixed shaper, which owners have for nothing."""
+        ours, stated = self.ours, self.acceleration_mm_per_s2
+        at = "" if stated is None else f"at your {acceleration(stated)} "
+        if not ours.peaks.within_limits:
+            return f"Worth it? No: {at}ffcomp asks the carriages for more than the machine file allows."
+        left, theirs, before, shaper, where = _weighed(self)
+        if left > TIE_RATIO * before:
+            return f"Worth it? No: {at}ffcomp makes this print worse{where}: {um(left)} µm, without it {um(before)}."
+        if left >= theirs / TIE_RATIO:
+            as_good = "as good" if left <= TIE_RATIO * theirs else "better"
+            sentence = f"Worth it? No: {at}the best input shaper ({shaper}) is {as_good} on this print{where}"
+            return f"{sentence}: {um(theirs)} µm against {um(left)}."
+        gain = f"{at}ffcomp leaves {um(left)} µm, the best input shaper ({shaper}) {um(theirs)} and none {um(before)}"
+        gain = f"{gain}{where}.{_speeds(self, ours)}"
+        if theirs < WORTH_RATIO * left:
+            return f"Worth it? Hardly: {gain} The difference is small: a shaper is enough."
+        return f"Worth it? Yes: {gain}"
 
     @property
     def facts(self) -> Sequence[Fact]:
-        """Each method's errors, and the findings."""
-        return [*_method_facts(self), *findings(self)]
+        """Each method's error and, where it was sought, its speed at equal quality; then what limits them."""
+        methods = [(method.label, ", ".join(_numbers(self, method))) for method in self.methods.values()]
+        findings = (
+            ("Inverse", _written(self)),
+            ("Limits", _limits(self)),
+            ("Evaluated", self.sampling),
+            ("Marlin", self.settings.get("Marlin", "")),
+            ("Simulated", _plant(self)),
+            ("Predicted", _predicted(self)),
+        )
+        return [*methods, *(each for each in findings if each[1])]
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Whether another file is compared, and the limits of the result."""
-        return cautions(self)
+        """Whether another file is compared, assumed modes, and warnings about the print."""
+        assumed = [party.assumed for party in (self.machine, self.plant) if party.assumed]
+        return list(dict.fromkeys([*self.notes, *assumed, *self.ours.warnings]))
 
     @property
     def next_steps(self) -> Sequence[str]:
@@ -224,31 +253,6 @@ class Comparison(Result):
 
 
 # ---- in words ----------------------------------------------------------------------------------
-
-WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
-
-
-def worth(comparison: Comparison) -> str:
-    """Weigh the compensated print against the best fixed shaper, which owners have for nothing."""
-    ours = comparison.ours
-    stated = comparison.acceleration_mm_per_s2
-    at = "" if stated is None else f"at your {acceleration(stated)} "
-    if not ours.peaks.within_limits:
-        return f"Worth it? No: {at}ffcomp asks the carriages for more than the machine file allows."
-    left, theirs, before, shaper, where = _weighed(comparison)
-    if left > TIE_RATIO * before:
-        return f"Worth it? No: {at}ffcomp makes this print worse{where}: {um(left)} µm, without it {um(before)}."
-    if left >= theirs / TIE_RATIO:
-        as_good = "as good" if left <= TIE_RATIO * theirs else "better"
-        sentence = f"Worth it? No: {at}the best input shaper ({shaper}) is {as_good} on this print{where}"
-        return f"{sentence}: {um(theirs)} µm against {um(left)}."
-    gain = (
-        f"{at}ffcomp leaves {um(left)} µm, the best input shaper ({shaper}) {um(theirs)} and none {um(before)}{where}."
-    )
-    gain += _speeds(comparison, ours)
-    if theirs < WORTH_RATIO * left:
-        return f"Worth it? Hardly: {gain} The difference is small: a shaper is enough."
-    return f"Worth it? Yes: {gain}"
 
 
 def _weighed(comparison: Comparison) -> tuple[float, float, float, str, str]:
@@ -279,30 +283,6 @@ def _speeds(comparison: Comparison, ours: Method) -> str:
 
 def _highest(quality: EqualQuality) -> str:
     return f"{acceleration(quality.acceleration_mm_per_s2)}{' and more' if quality.capped else ''}"
-
-
-def findings(comparison: Comparison) -> list[Fact]:
-    """Return what stands below the methods: how it was found, and what limits it."""
-    named = (
-        ("Inverse", _written(comparison)),
-        ("Limits", _limits(comparison)),
-        ("Evaluated", comparison.sampling),
-        ("Marlin", comparison.settings.get("Marlin", "")),
-        ("Simulated", _plant(comparison)),
-        ("Predicted", _predicted(comparison)),
-    )
-    return [(name, sentence) for name, sentence in named if sentence]
-
-
-def cautions(comparison: Comparison) -> list[str]:
-    """Return the caveats: whether another file is compared, assumed modes, and warnings about the print."""
-    assumed = [party.assumed for party in (comparison.machine, comparison.plant) if party.assumed]
-    return list(dict.fromkeys([*comparison.notes, *assumed, *comparison.ours.warnings]))
-
-
-def _method_facts(comparison: Comparison) -> list[Fact]:
-    """Return each method's contour error and, where it was sought, its speed at equal quality."""
-    return [(method.label, ", ".join(_numbers(comparison, method))) for method in comparison.methods.values()]
 
 
 def _numbers(comparison: Comparison, method: Method) -> Iterator[str]:
@@ -358,11 +338,10 @@ def _predicted(comparison: Comparison) -> str:
     if not comparison.predicted:
         return ""
     before, after = (um(comparison.predicted[name].contour_rms_um) for name in ("uncompensated", "compensated"))
-    part = "" if comparison.whole else ", of the part that was evaluated"
     return (
         f"`ffcomp compensate` and `ffcomp show` predict {before} → {after} µm rms for this print, with the linear "
         "model that ffcomp plans with and over all moves, travel included. The errors above come from the "
-        f"nonlinear virtual printer, {comparison.where}{part}."
+        f"nonlinear virtual printer, {comparison.where}."
     )
 
 

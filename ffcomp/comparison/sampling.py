@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -130,15 +130,10 @@ class Print:
         return self.planned.trajectory.end_t
 
     @cached_property
-    def extrudes(self) -> NDArray[np.bool_]:
-        """(n,) moves that extrude along a path."""
-        return _extrudes(self.planned.trajectory)
-
-    @cached_property
     def acceleration_mm_per_s2(self) -> float | None:
         """The acceleration of most of the outer walls' time, or of all that extrudes; None if the print names none."""
         walls = outer_walls(self.labels)
-        seconds = np.where(self.extrudes, self.planned.trajectory.duration, 0.0)
+        seconds = np.where(_extrudes(self.planned.trajectory), self.planned.trajectory.duration, 0.0)
         seconds = np.where(walls, seconds, 0.0) if seconds[walls].any() else seconds
         stated = self.program.moves.acceleration
         values = np.unique(stated[(seconds > 0.0) & np.isfinite(stated)])
@@ -217,7 +212,9 @@ class Print:
     def _left_out(self, slices: list[PrintSlice], first: int, last: int) -> str:
         names, part = self.labels.features, slice(first, last)
         durations = np.diff(np.append(self.planned.trajectory.start_t, self.print_time_s))
-        seconds = np.bincount(self.labels.feature[part], (durations * self.extrudes)[part], len(names))
+        seconds = np.bincount(
+            self.labels.feature[part], (durations * _extrudes(self.planned.trajectory))[part], len(names)
+        )
         seen = np.unique(np.concatenate([each.feature[each.extrudes] for each in slices]))
         left = [k for k in np.flatnonzero(seconds) if k not in seen]
         if not left:
@@ -244,9 +241,3 @@ class Print:
             before=preamble(self.program, first),
             start=(float(x), float(y), float(z)),
         )
-
-
-def check_long_enough(slices: Sequence[PrintSlice], path: str) -> None:
-    """Raise NothingToDo if nothing is left of any slice but its beginning."""
-    if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
-        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare.")

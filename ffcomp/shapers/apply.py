@@ -65,15 +65,12 @@ def on_grid(shaper: Shaper, step_s: float) -> tuple[int, FloatArray]:
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
-    """Return the frequencies (n, 2) Hz of the modes at positions (n, 2) mm that the nozzle vibrates most in along X, Y.
+    """Return the frequencies (2,) Hz of the modes at a position (2,) mm that the nozzle vibrates most in along X and Y.
 
     For the same commanded acceleration, that is the largest |X/Ẍ_d| = |G|/ω² at a natural frequency, with G from
     commanded to real nozzle. The drive's resonance is not among the modes: it is the same everywhere.
     """
-    found = np.empty((len(xy), 2))
-    for k, modes in enumerate(machine.vibration.modes(xy)):
-        natural = modes.frequencies_hz
-        response = machine.vibration.frequency_response(xy[k], natural, "nozzle", "nozzle")  # (modes, 3, 3)
-        loudness = np.abs(response) / natural[:, None, None] ** 2
-        found[k] = natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)]
-    return found
+    natural = next(iter(machine.vibration.modes(xy[None]))).frequencies_hz
+    response = machine.vibration.frequency_response(xy, natural, "nozzle", "nozzle")  # (modes, 3, 3)
+    loudness = np.abs(response) / natural[:, None, None] ** 2
+    return np.asarray(natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)])

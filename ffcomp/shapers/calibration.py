@@ -9,14 +9,14 @@ with S the power spectral density divided by (f + 0.1 Hz), v the vibration that 
 damping ratios, and the smoothing the offset from the path at a corner of 90° or 180°, at 5 m/s². It fits no model: no
 phase, no damping, nothing of the other positions on the bed.
 
-    x, y = calibrated(*(resonance_test_psd(machine, xy, axis) for axis in "xy"))
+    x, y = (recommended(fits(resonance_test_psd(machine, xy, axis)).values()) for axis in "xy")
 
 mm, s, Hz.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -68,14 +68,6 @@ class Fit:
     def shaper(self) -> Shaper:
         """The shaper itself."""
         return SHAPERS[self.kind](self.frequency_hz, DAMPING_RATIO)
-
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """The calibration of one axis."""
-
-    fits: Mapping[str, Fit]  # by kind
-    recommended: Fit
 
 
 # ---- the test ------------------------------------------------------------------------------------
@@ -139,10 +131,9 @@ def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
 # ---- the choice ----------------------------------------------------------------------------------
 
 
-def calibrated(x: Spectrum, y: Spectrum, square_corner_velocity: float = 5.0) -> tuple[Calibration, Calibration]:
-    """Return the frequency of every kind and the recommended shaper, for x and for y; arguments as of `fit`."""
-    of_x, of_y = ({kind: fit(kind, spectrum, square_corner_velocity) for kind in _CANDIDATES} for spectrum in (x, y))
-    return Calibration(of_x, recommended(of_x.values())), Calibration(of_y, recommended(of_y.values()))
+def fits(spectrum: Spectrum, square_corner_velocity: float = 5.0) -> dict[str, Fit]:
+    """Return the fit of every kind that a firmware recommends, in its order; arguments as of `fit`."""
+    return {kind: fit(kind, spectrum, square_corner_velocity) for kind in _CANDIDATES}
 
 
 def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0) -> Fit:
@@ -162,9 +153,9 @@ def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0) -> F
     return Fit(kind, float(tried[best]), float(vibration[best]), float(smooth[best]), float(score[best]))
 
 
-def recommended(fits: Iterable[Fit]) -> Fit:
+def recommended(candidates: Iterable[Fit]) -> Fit:
     """Choose among fits: a wider one must win clearly, by 20 %, or by 5 % with 10 % less smoothing."""
-    best, *challengers = fits
+    best, *challengers = candidates
     for other in challengers:
         clearly = other.score * 1.2 < best.score
         if clearly or (other.score * 1.05 < best.score and other.smoothing_mm * 1.1 < best.smoothing_mm):
@@ -214,11 +205,9 @@ def _checked(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
 
 @dataclass(frozen=True, slots=True)
 class ShaperAdvice:
-    """The shaper of one axis."""
+    """The shaper of one axis, by the firmware's own resonance test of the machine in the middle of the bed."""
 
-    # direct, stepwise, axes: for those who stay with an input shaper, by the firmware's own resonance test of
-    # the fitted machine in the middle of the bed; x and y
-    axis: str
+    axis: str  # x or y
     shaper: str  # zv, mzv, ei, 2hump_ei or 3hump_ei
     frequency_hz: float
     remaining_vibration: float  # share of the measured power that it leaves
@@ -227,15 +216,13 @@ class ShaperAdvice:
 
 def shaper_advice(machine: Machine) -> tuple[ShaperAdvice, ...]:
     """Return what suits x and y, as a firmware's calibration of the machine in the middle of the bed has it."""
-    corner = machine.limits.square_corner_velocity_mm_per_s
-    tested = effective_machine(machine)
-    along_x, along_y = (resonance_test_psd(tested, np.zeros(2), axis) for axis in _XY)
-    x, y = calibrated(along_x, along_y, corner)
-    fits = {"x": x.recommended, "y": y.recommended}
-    return tuple(
-        ShaperAdvice(axis, fit.kind, fit.frequency_hz, fit.vibration, highest_acceleration(fit, corner))
-        for axis, fit in fits.items()
-    )
+    corner, tested = machine.limits.square_corner_velocity_mm_per_s, effective_machine(machine)
+    advice = []
+    for axis in _XY:
+        best = recommended(fits(resonance_test_psd(tested, np.zeros(2), axis), corner).values())
+        most = highest_acceleration(best, corner)
+        advice.append(ShaperAdvice(axis, best.kind, best.frequency_hz, best.vibration, most))
+    return tuple(advice)
 
 
 def highest_acceleration(fit: Fit, corner: float) -> float:

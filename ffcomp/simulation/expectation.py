@@ -377,8 +377,8 @@ def _tuned(machine: Machine, printer: Printer, pieces: Sequence[Piece], kind: st
         by_axis = of(settings).by_axis()
         return float(errors_um(pieces, [printer], lambda piece: piece.planned(*by_axis))[0])
 
-    centre = np.array([machine.kinematics.centre_mm], dtype=float)
-    modes = shapers.dominant_frequencies(design_machine(machine)[0], centre)[0]
+    centre = np.array(machine.kinematics.centre_mm, dtype=float)
+    modes = shapers.dominant_frequencies(design_machine(machine)[0], centre)
     start = modes if by_axis else np.sqrt(np.prod(modes, keepdims=True))
     return of(search(cost, start, [Scan(range(len(start)), FACTORS)]).settings)
 

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.evaluation import by
-from ffcomp.comparison.result import Comparison, Peaks, cautions, findings
+from ffcomp.comparison.result import Comparison, Peaks
 from tests.support.browser import Visit, visit
 from tests.support.comparison import LAYERS, MACHINE, NASTY, changed, comparison, everything, samples, whole_page
 
 
 def verdict(found: Comparison) -> list[str]:
     """What was found and what to mind, in the order of importance."""
-    said = [sentence for _, sentence in findings(found)]
-    return [*said[:2], *cautions(found), *said[2:]]
+    said = [sentence for _, sentence in found.facts[len(found.methods) :]]
+    return [*said[:2], *found.warnings, *said[2:]]
 
 
 # ---- words and verdict ---------------------------------------------------------------------------

@@ -82,7 +82,6 @@ def comparison(
         "version": "9.8.7",
         "features": FEATURES,
         "methods": {each.name: each for each in judged},
-        "best_fixed": "mzv",
         "compensated": "fbs-lpv",
         "quality_bound_um": 25.0,
         "acceleration_mm_per_s2": 5000.0,

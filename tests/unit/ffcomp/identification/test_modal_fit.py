@@ -21,7 +21,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
-from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from ffcomp.shapers.calibration import fits, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
@@ -203,7 +203,7 @@ def test_real_printers_ring_where_the_firmware_shapes(name: str) -> None:
     file = read_vibration(REAL / name)
     assert isinstance(file, Resonances)
     spectrum = (file.frequency_hz, file.psd["xyz"]) if file.normalised else normalised(*file.power("xyz"))
-    shaper = calibrated(spectrum, spectrum)[0].fits["zv"]
+    shaper = fits(spectrum)["zv"]
     assert len(fit.modes) == 1
     assert fit.modes[0].frequency_hz.value == pytest.approx(shaper.frequency_hz, rel=0.06)
     assert 0.03 < fit.modes[0].damping_ratio.value < 0.2

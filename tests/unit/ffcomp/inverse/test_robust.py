@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, contour
-from ffcomp.comparison.methods import COMPENSATED, ROBUST, best_fixed, inversion
+from ffcomp.comparison.methods import COMPENSATED, ROBUST, inversion, tuned
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.job import Job
 from ffcomp.inverse.model import InverseModel
@@ -110,9 +110,8 @@ def test_at_twenty_percent_the_best_shaper_leaves_more() -> None:
         with_values(believed, parameters.scaled(rng.standard_normal(parameters.columns).clip(-2.5, 2.5), spread, 0.2))
         for _ in range(8)
     ]
-    linear = LinearPrinter(believed, [stretch])
-    ways = [best_fixed(linear, kind) for kind in ("zv", "mzv", "ei", "2hump_ei")]
-    ways.append(inversion(believed, finely_joined(believed), ROBUST))
+    linear, settings = LinearPrinter(believed, [stretch]), finely_joined(believed)
+    ways = [tuned(name, believed, linear, settings) for name in ("zv", "mzv", "ei", "2hump_ei", ROBUST)]
     means = []
     for way in ways:
         motion, _ = way.motion(stretch)
