@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
-import numpy as np
-
 from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation.statistics import Statistics, Unknown, planned_slices
@@ -85,7 +83,7 @@ class Estimate(Result):
         rows = []
         for each in self.statistics.layers_in_order:
             name = "before" if each.number is None else f"layer {each.number}"
-            height = f"z {each.z_mm:.2f} mm, " if np.isfinite(each.z_mm) else ""
+            height = "" if each.z_mm is None else f"z {each.z_mm:.2f} mm, "
             rows.append((name, f"{height}line {each.line}: {clock(each.spent.time_s)}"))
         return rows
 

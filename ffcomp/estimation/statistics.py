@@ -129,12 +129,13 @@ class Layer:
 
     number: int | None  # from 0; None: the lines before the first
     line: int  # its first, from 1
-    z_mm: float  # of its highest extruding move; -inf: none extrudes
+    z_mm: float | None  # of its highest extruding move; None: none extrudes
     spent: Spent
 
     def with_more(self, other: Layer) -> Layer:
         """Add a later part of the same layer."""
-        return replace(self, z_mm=max(self.z_mm, other.z_mm), spent=self.spent + other.spent)
+        heights = [z for z in (self.z_mm, other.z_mm) if z is not None]
+        return replace(self, z_mm=max(heights, default=None), spent=self.spent + other.spent)
 
 
 REMEMBERED = 50  # lines of each command that are remembered
@@ -254,8 +255,9 @@ class Statistics:
             self.features[names[k]] = self.features.get(names[k], Spent()) + _spent(rows[which])
         for k, which in grouped(self._layer + np.searchsorted(layers, line, side="right")):
             first = part.program.first_line + 1 + int(line[which].min())
-            number = None if k == BEFORE else k
-            layer = Layer(number, first, float(tops[which].max()), _spent(rows[which]))
+            extruded = tops[which][np.isfinite(tops[which])]
+            z_mm = float(extruded.max()) if extruded.size else None
+            layer = Layer(None if k == BEFORE else k, first, z_mm, _spent(rows[which]))
             self.layers[k] = self.layers[k].with_more(layer) if k in self.layers else layer
         self._layer += len(layers)
         self._feature = names[-1]
@@ -304,10 +306,9 @@ class Statistics:
 
 
 def grouped(keys: IntArray) -> Iterator[tuple[int, IntArray]]:
-    """Yield each of the keys (n,) once, in ascending order, with the indices where it stands."""
-    order = np.argsort(keys, kind="stable")
-    unique, first = np.unique(keys[order], return_index=True)
-    yield from zip(unique.tolist(), np.split(order, first[1:]), strict=True)
+    """Yield each of the keys (n,) once, in ascending order, with its indices."""
+    for key in np.unique(keys).tolist():
+        yield key, np.flatnonzero(keys == key)
 
 
 def _spent(rows: FloatArray) -> Spent:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.comparison.evaluation import by
 from ffcomp.comparison.result import Comparison, Peaks
 from tests.support.browser import Visit, visit
 from tests.support.comparison import LAYERS, MACHINE, NASTY, changed, comparison, everything, samples, whole_page
@@ -37,13 +36,13 @@ def test_errors_by_layer_and_feature_are_those_of_the_tiles() -> None:
         whole = sum(error.share * error.rms_um**2 for error in errors) ** 0.5
         assert whole == pytest.approx(own.extruding.contour_rms_um) and sum(e.share for e in errors) == pytest.approx(1)
     travel = replace(found.none.samples, extruding=np.zeros(len(samples(1.0).due), dtype=bool))
-    assert set(by(travel.layer, travel)) == set(range(LAYERS))
+    assert set(travel.by(travel.layer)) == set(range(LAYERS))
 
 
 def test_limits_and_warnings_are_in_the_verdict() -> None:
     beyond = Peaks(250.0, 4.5e4, False)
     said = " ".join(verdict(changed(comparison(), "fbs-lpv", peaks=beyond, warnings=("Too fast here.",))))
-    assert "45,000 mm/s² (45 m/s²), more than the machine file allows (300 mm/s, 20,000 mm/s² (20 m/s²))" in said
+    assert "45,000 mm/s² (45 m/s²), more than the machine file allows (500 mm/s, 30,000 mm/s² (30 m/s²))" in said
     assert "Too fast here." in said
     assert "Beyond the limits of the carriages" in " ".join(verdict(changed(comparison(), "mzv", peaks=beyond)))
     assert "allows" not in " ".join(verdict(comparison()))
