@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ffcomp.comparison.evaluation import Execution, contour
-from ffcomp.comparison.methods import COMPENSATED, inversion, none
+from ffcomp.comparison.methods import COMPENSATED, NONE, inversion
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.record.plan import Experiment, Plan
@@ -158,7 +158,7 @@ def printed_with(printer: Printer, file: Path, seconds: float, *, compensate: bo
     """Return the contour error of a print with a machine file, µm rms."""
     machine = load_machine(file)
     part = Print(PRINT.read_bytes(), PRINT.name, machine).slices(LAYERS, at_most_s=seconds)[0]
-    way = inversion(machine, settings_for(machine), COMPENSATED) if compensate else none()
+    way = inversion(machine, settings_for(machine), COMPENSATED) if compensate else NONE
     errors = contour([on_the_real(printer, each, way.motion(each)[0]) for each in part])
     return float(np.sqrt(np.mean(errors**2))) * 1e3
 
