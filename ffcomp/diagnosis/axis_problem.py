@@ -43,7 +43,6 @@ from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
 from models.kinds import driven_axis
 from models.machine import Machine, with_values
-from models.printer.kernels.one_axis import AXIS_PARAMETERS
 from models.printer.one_axis import axis_parameters, simulate_axis, simulate_load
 from models.vibration.driven_axis import DrivenAxis
 
@@ -262,16 +261,15 @@ class ForceBalance(AxisProblem):
         of motion and F₀ the force that everything else needs. The measured force must not stand on this side: with it,
         a share of one would explain any force.
         """
-        share, delay_s = (float(axis_parameters(machine)[0][AXIS_PARAMETERS.index(x)]) for x in ("load_share", "delay"))
-        one, drive = self._driven[run], driven_axis(machine).drive
+        axis, one, drive = axis_parameters(machine), self._driven[run], driven_axis(machine).drive
         needed = self._needed(machine, one, run, coarse)
-        if share:
+        if share := axis.load_share:
             force = np.abs(driven_axis(machine).force_of(one.run.drive, one.run.supply_v))
             idle = replace(one, run=replace(one.run, drive=np.zeros_like(one.run.drive)))
             without = self._needed(machine, idle, run, coarse)
             direction = np.clip((needed - without) / np.maximum(force, 1e-12), -share, share)
             needed = without / (1 - direction * np.sign(without))
-        late = delay_s * one.run.sample_rate_hz + (HELD if drive.hold == "steps" else 0.0)
+        late = axis.delay * one.run.sample_rate_hz + (HELD if drive.hold == "steps" else 0.0)
         k = np.arange(len(needed))
         signals = {"force": np.interp(k + late, k, needed)}  # what acts later was recorded now
         compared = self.shots[run]
@@ -290,8 +288,11 @@ class ForceBalance(AxisProblem):
         """
         motion = one.simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
         self.work.add(STEP_COST * motion.steps)
-        mass = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("mass")])
-        return mass * self._accelerations[run] + motion.force - HEAVY_KG * motion.motor_acceleration
+        return (
+            axis_parameters(machine).mass * self._accelerations[run]
+            + motion.force
+            - HEAVY_KG * motion.motor_acceleration
+        )
 
 
 def _states(one: Shots) -> FloatArray:

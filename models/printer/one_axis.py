@@ -14,7 +14,7 @@ from models.effects.effect import Signals
 from models.kinds import driven_axis
 from models.machine import Machine
 from models.printer.kernels.motors import slopes
-from models.printer.kernels.one_axis import AXIS_PARAMETERS, AxisInput, integrate_axis
+from models.printer.kernels.one_axis import NO_RIPPLES, AxisInput, AxisParameters, integrate_axis
 
 LONGEST_STEP_S = 0.002
 STEP_RAD = 0.25  # phase of the fastest mode per step
@@ -25,7 +25,6 @@ STABLE = 1.5  # step times the decay rate by friction; the method is stable up t
 MOST_SUBSTEPS = 60
 MOST_FOR_FRICTION = 16  # of them for dry friction of what is light: more would resolve speeds far below its own
 _NOTHING = np.empty(0)
-NEUTRAL = {"fading_power": 1.0, "creep": 1.0, "presliding": 1.0}  # values of absent effects that are not zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +92,10 @@ def simulate_axis(
     ValueError
         If the motion diverges, or an effect is incomplete.
     """
-    (p, ripples), axis = axis_parameters(machine), driven_axis(machine)
+    p, axis = axis_parameters(machine), driven_axis(machine)
     samples = np.ascontiguousarray(axis.force_of(drive, supply_v) if axis.by_force else 1e-3 * drive, float)
     held, extra_n = axis.by_force and axis.drive.hold == "steps", np.empty(0) if extra is None else extra
-    return _integrated(p, ripples, samples, dt_s, shot, begin, substeps, coarse, held, extra_n)
+    return _integrated(p, samples, dt_s, shot, begin, substeps, coarse, held, extra_n)
 
 
 def simulate_load(machine: Machine, motor_mm: FloatArray, dt_s: float, shot: int, begin: FloatArray) -> AxisMotion:
@@ -112,19 +111,17 @@ def simulate_load(machine: Machine, motor_mm: FloatArray, dt_s: float, shot: int
     ValueError
         If the motion diverges, or an effect is incomplete.
     """
-    axis = _by_name(axis_parameters(machine)[0])
-    spring = {"mass": axis["load"], "stiffness": axis["coupling"], "drive_damping": axis["coupling_damping"]}
-    if not axis["play_at_drive"]:
-        spring |= {name: axis[name] for name in ("half_backlash", "landing")}
-    if not axis["hardens_at_drive"]:
-        spring |= {name: axis[name] for name in ("cubic", "quintic")}
-    p = np.array([(NEUTRAL | {"drive_limit": np.inf} | spring).get(name, 0.0) for name in AXIS_PARAMETERS])
-    return _integrated(p, np.empty((0, 3)), 1e-3 * motor_mm, dt_s, shot, begin)
+    axis = axis_parameters(machine)
+    load = AxisParameters(axis.load, axis.coupling, drive_damping=axis.coupling_damping)
+    if not axis.play_at_drive:
+        load = load._replace(half_backlash=axis.half_backlash, landing=axis.landing)
+    if not axis.hardens_at_drive:
+        load = load._replace(cubic=axis.cubic, quintic=axis.quintic)
+    return _integrated(load, 1e-3 * motor_mm, dt_s, shot, begin)
 
 
 def _integrated(
-    p: FloatArray,
-    ripples: FloatArray,
+    p: AxisParameters,
     samples: FloatArray,
     dt_s: float,
     shot: int,
@@ -134,16 +131,15 @@ def _integrated(
     held: bool = False,
     extra: FloatArray = _NOTHING,
 ) -> AxisMotion:
-    by_force = bool(p[AXIS_PARAMETERS.index("by_force")])
-    rest = 0.0 if by_force else float(samples[0])
+    rest = 0.0 if p.by_force else float(samples[0])
     first = np.array([[rest, 0.0, rest, 0.0]]) if begin is None else 1e-3 * begin
     loudest = load_of(p, samples)
     steps = substeps or substeps_of(p, dt_s, COARSE_STEP_RAD if coarse else STEP_RAD, loudest)
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
-    slope = np.empty(0) if by_force else slopes(np.diff(samples))
+    slope = np.empty(0) if p.by_force else slopes(np.diff(samples))
     inputs = AxisInput(np.ascontiguousarray(samples, float), slope, np.ascontiguousarray(extra, float), dt_s, held)
     gentler = with_stable_friction(p, dt_s / steps, loudest)
-    out = integrate_axis(inputs, steps, shot or len(samples) + 1, np.ascontiguousarray(first), gentler, ripples)
+    out = integrate_axis(inputs, steps, shot or len(samples) + 1, np.ascontiguousarray(first), gentler)
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the motion of the axis diverges.")
     t = np.asarray(dt_s * np.arange(len(samples)), dtype=np.float64)
@@ -153,54 +149,39 @@ def _integrated(
     )
 
 
-def _by_name(p: FloatArray) -> dict[str, float]:
-    return dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
-
-
-def load_of(p: FloatArray, samples: FloatArray) -> float:
+def load_of(p: AxisParameters, samples: FloatArray) -> float:
     """Return about the largest force, N, that friction by load grows with; 0 without such friction."""
-    v = _by_name(p)
-    drive = float(np.abs(samples).max()) if v["by_force"] else v["stiffness"] * float(np.ptp(samples))
-    held = v["held_share"] * (abs(v["weight_moment"]) + abs(v["ground"]) * float(np.ptp(samples)))
-    return v["load_share"] * (min(drive, v["drive_limit"]) + held)
+    drive = float(np.abs(samples).max()) if p.by_force else p.stiffness * float(np.ptp(samples))
+    held = p.held_share * (abs(p.weight_moment) + abs(p.ground) * float(np.ptp(samples)))
+    return p.load_share * (min(drive, p.drive_limit) + held)
 
 
-def with_stable_friction(p: FloatArray, step_s: float, load_n: float) -> FloatArray:
+def with_stable_friction(p: AxisParameters, step_s: float, load_n: float) -> AxisParameters:
     """Return the parameters with a creep speed large enough that dry friction does not overshoot rest."""
-    v = _by_name(p)
-    least = (v["dry"] + v["sticking"] + load_n) * step_s / (STEEPEST * v["mass"])
-    if least <= v["creep"]:
-        return p
-    gentler = p.copy()
-    gentler[AXIS_PARAMETERS.index("creep")] = least
-    return gentler
+    least = (p.dry + p.sticking + load_n) * step_s / (STEEPEST * p.mass)
+    return p if least <= p.creep else p._replace(creep=least)
 
 
-def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD, load_n: float = 0.0) -> int:
+def substeps_of(p: AxisParameters, dt_s: float, step_rad: float = STEP_RAD, load_n: float = 0.0) -> int:
     """Return how many integration steps a sample needs."""
-    v = _by_name(p)
-    least = min(v["mass"], v["load"] or v["mass"])
-    omega = math.sqrt((v["stiffness"] + v["coupling"] + abs(v["weight_moment"])) / least)
-    rate = (v["damping"] + v["drive_damping"] + v["coupling_damping"]) / least
-    if max(v["cubic"], v["quintic"]) > 0.0:
+    least = min(p.mass, p.load or p.mass)
+    omega = math.sqrt((p.stiffness + p.coupling + abs(p.weight_moment)) / least)
+    rate = (p.damping + p.drive_damping + p.coupling_damping) / least
+    if max(p.cubic, p.quintic) > 0.0:
         omega *= HARDENED
-    if v["dry"] + v["sticking"] + load_n > 0.0:  # beyond, `with_stable_friction` lets it fall sooner
-        rate += min((v["dry"] + v["sticking"] + load_n) / (v["creep"] * v["mass"]), STABLE * MOST_FOR_FRICTION / dt_s)
-    if v["bristle_force"] > 0.0:
-        omega = math.hypot(omega, math.sqrt(v["bristle_force"] / (v["presliding"] * v["mass"])))
+    if p.dry + p.sticking + load_n > 0.0:  # beyond, `with_stable_friction` lets it fall sooner
+        rate += min((p.dry + p.sticking + load_n) / (p.creep * p.mass), STABLE * MOST_FOR_FRICTION / dt_s)
+    if p.bristle_force > 0.0:
+        omega = math.hypot(omega, math.sqrt(p.bristle_force / (p.presliding * p.mass)))
     longest = min(LONGEST_STEP_S, step_rad / max(omega, 1e-9), STABLE / max(rate, 1e-9))
     return min(max(1, math.ceil(dt_s / longest * (1 - 1e-9))), MOST_SUBSTEPS)
 
 
 @lru_cache(maxsize=8)
-def axis_parameters(machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Return the kernel's numbers of an axis with its effects, SI: shared between runs, read-only.
-
-    Returns
-    -------
-    In the order of `AXIS_PARAMETERS`; and the forces that repeat along the axis, (k, 3) N, N, rad/m.
-    """
+def axis_parameters(machine: Machine) -> AxisParameters:
+    """Return the kernel's numbers of an axis with its effects, SI."""
     effective = effective_machine(machine)
-    terms = terms_of(effective, {**NEUTRAL, **effective.vibration.printer_parameters(0.0)})
-    numbers = np.array([float(np.ravel(terms.get(name, 0.0))[0]) for name in AXIS_PARAMETERS])
-    return numbers, np.ascontiguousarray(terms.get("ripples", np.empty((0, 3))), float)
+    terms = terms_of(effective, effective.vibration.printer_parameters(0.0))
+    ripples = np.ascontiguousarray(terms.pop("ripples", NO_RIPPLES), float)
+    numbers = {name: float(np.ravel(terms[name])[0]) for name in terms.keys() & set(AxisParameters._fields)}
+    return AxisParameters(**numbers, ripples=ripples)

@@ -26,107 +26,122 @@ from models.printer.kernels.friction import bristle_rate, sliding_level, strain_
 from models.printer.kernels.motors import belt_force, ripple
 from models.printer.kernels.vectors import compiled, inlined, plus
 
-# The parameters of one axis by itself: those of its model, those that printers have too, and its own.
-AXIS_PARAMETERS = (
-    *("mass", "stiffness", "damping", "offset", "load", "coupling", "coupling_damping", "by_force"),
-    *("drive_damping", "drive_limit"),  # N s/m, across the drive's spring; N, of the drive
-    *("dry", "sticking", "fading", "fading_power", "creep", "hold", "half_backlash", "landing", "cubic", "quintic"),
-    *("ripple", "wave", "phase", "second_sine", "second_cosine", "delay"),
-    "ground",  # N/m, ground_spring
-    "drag",  # N s²/m², quadratic_drag
-    *("weight_moment", "weight_angle"),  # N, m, pendulum_gravity
-    *("load_share", "held_share"),  # friction_by_load
-    "by_direction",  # N s/m, friction_by_direction
-    *("bristle_force", "presliding"),  # N, m, bristle_friction
-    *("play_at_drive", "hardens_at_drive"),  # 1: it is the drive of an axis with a load that has play, or hardens
-)
+NO_RIPPLES = np.empty((0, 3))
 
 
-def _places(*names: str) -> list[int]:
-    return [AXIS_PARAMETERS.index(name) for name in names]
+class AxisParameters(NamedTuple):
+    """The parameters of one axis by itself, SI: those of its model, those that printers have too, and its own."""
+
+    mass: float
+    stiffness: float = 0.0
+    damping: float = 0.0
+    offset: float = 0.0
+    load: float = 0.0
+    coupling: float = 0.0
+    coupling_damping: float = 0.0
+    by_force: float = 0.0  # 1: the input is a force
+    drive_damping: float = 0.0  # N s/m, across the drive's spring
+    drive_limit: float = math.inf  # N, of the drive
+    dry: float = 0.0
+    sticking: float = 0.0
+    fading: float = 0.0
+    fading_power: float = 1.0
+    creep: float = 1.0
+    hold: float = 0.0
+    half_backlash: float = 0.0
+    landing: float = 0.0
+    cubic: float = 0.0
+    quintic: float = 0.0
+    ripple: float = 0.0
+    wave: float = 0.0
+    phase: float = 0.0
+    second_sine: float = 0.0
+    second_cosine: float = 0.0
+    delay: float = 0.0
+    ground: float = 0.0  # N/m, ground_spring
+    drag: float = 0.0  # N s²/m², quadratic_drag
+    weight_moment: float = 0.0  # N, pendulum_gravity
+    weight_angle: float = 0.0
+    load_share: float = 0.0  # friction_by_load
+    held_share: float = 0.0
+    by_direction: float = 0.0  # N s/m, friction_by_direction
+    bristle_force: float = 0.0  # N, bristle_friction
+    presliding: float = 1.0  # m
+    play_at_drive: float = 0.0  # 1: of an axis with a load, the drive has play; 0: the coupling
+    hardens_at_drive: float = 0.0  # likewise
+    ripples: FloatArray = NO_RIPPLES  # (k, 3) forces that repeat along it: N of the sine and the cosine, rad/m
 
 
-MASS, STIFFNESS, DAMPING, OFFSET, LOAD = _places("mass", "stiffness", "damping", "offset", "load")
-COUPLING, COUPLING_DAMPING, BY_FORCE = _places("coupling", "coupling_damping", "by_force")
-DRIVE_DAMPING, DRIVE_LIMIT = _places("drive_damping", "drive_limit")
-DRY, STICKING, FADING, FADING_POWER = _places("dry", "sticking", "fading", "fading_power")
-CREEP, HOLD, BRISTLE_FORCE, PRESLIDING = _places("creep", "hold", "bristle_force", "presliding")
-HALF_BACKLASH, LANDING, PLAY_AT_DRIVE = _places("half_backlash", "landing", "play_at_drive")
-CUBIC, QUINTIC, HARDENS_AT_DRIVE = _places("cubic", "quintic", "hardens_at_drive")
-RIPPLE, WAVE, PHASE, DELAY = _places("ripple", "wave", "phase", "delay")
-SECOND_SINE, SECOND_COSINE = _places("second_sine", "second_cosine")
-GROUND, DRAG, WEIGHT_MOMENT, WEIGHT_ANGLE = _places("ground", "drag", "weight_moment", "weight_angle")
-LOAD_SHARE, HELD_SHARE, BY_DIRECTION = _places("load_share", "held_share", "by_direction")
 Q, V, Q_LOAD, V_LOAD, STRAIN, BENT = range(6)
 State: TypeAlias = tuple[float, float, float, float, float, float]  # in this order
 
 
 @inlined
-def _spring(stretch: float, rate: float, k: float, c: float, play: bool, hardens: bool, p: FloatArray) -> float:
+def _spring(stretch: float, rate: float, k: float, c: float, play: bool, hardens: bool, p: AxisParameters) -> float:
     """Return the force of a spring and its damper; it may be the one that has play, or hardens."""
     s, landing = stretch, 0.0
     if play:
-        half = p[HALF_BACKLASH]
+        half = p.half_backlash
         if half > 0.0 and abs(stretch) < half:
             return 0.0
-        s, landing = stretch - math.copysign(half, stretch), p[LANDING]
-    cubic, quintic = (p[CUBIC], p[QUINTIC]) if hardens else (0.0, 0.0)
+        s, landing = stretch - math.copysign(half, stretch), p.landing
+    cubic, quintic = (p.cubic, p.quintic) if hardens else (0.0, 0.0)
     return belt_force(k, c, s, s, rate, landing, cubic, quintic)
 
 
 @inlined
 def _resistance(
-    q: float, v: float, strain: float, bent: float, drive: float, p: FloatArray, ripples: FloatArray
+    q: float, v: float, strain: float, bent: float, drive: float, p: AxisParameters
 ) -> tuple[float, float, float]:
     """Return what resists where the drive gives so much force, and the rates of strain and bristles."""
-    held = p[GROUND] * q + p[WEIGHT_MOMENT] * math.sin(q - p[WEIGHT_ANGLE])
-    force = p[DAMPING] * v + 0.5 * p[BY_DIRECTION] * abs(v) + p[DRAG] * v * abs(v) + held
+    held = p.ground * q + p.weight_moment * math.sin(q - p.weight_angle)
+    force = p.damping * v + 0.5 * p.by_direction * abs(v) + p.drag * v * abs(v) + held
     strained = bending = 0.0
-    if p[DRY] + p[STICKING] + p[LOAD_SHARE] > 0.0:
-        ratio = v / p[CREEP]
-        level = p[DRY]
-        if p[STICKING] > 0.0:
-            level = sliding_level(p[DRY], p[STICKING], ((v * p[FADING]) ** 2) ** p[FADING_POWER])
-        level += p[LOAD_SHARE] * (abs(drive) + p[HELD_SHARE] * abs(held))
+    if p.dry + p.sticking + p.load_share > 0.0:
+        ratio = v / p.creep
+        level = p.dry
+        if p.sticking > 0.0:
+            level = sliding_level(p.dry, p.sticking, ((v * p.fading) ** 2) ** p.fading_power)
+        level += p.load_share * (abs(drive) + p.held_share * abs(held))
         force += level * math.tanh(ratio + strain)
-        strained = strain_rate(p[HOLD], ratio, abs(ratio), strain)
-    if p[BRISTLE_FORCE] > 0.0:
-        force += p[BRISTLE_FORCE] * bent
-        bending = bristle_rate(1.0 / p[PRESLIDING], 0.0, v, bent)
-    for i in range(len(ripples)):
-        force += ripples[i, 0] * math.sin(ripples[i, 2] * q) + ripples[i, 1] * math.cos(ripples[i, 2] * q)
+        strained = strain_rate(p.hold, ratio, abs(ratio), strain)
+    if p.bristle_force > 0.0:
+        force += p.bristle_force * bent
+        bending = bristle_rate(1.0 / p.presliding, 0.0, v, bent)
+    for i in range(len(p.ripples)):
+        force += p.ripples[i, 0] * math.sin(p.ripples[i, 2] * q) + p.ripples[i, 1] * math.cos(p.ripples[i, 2] * q)
     return force, strained, bending
 
 
 @inlined
-def _drive(q: float, v: float, value: float, value_rate: float, p: FloatArray) -> tuple[float, float]:
+def _drive(q: float, v: float, value: float, value_rate: float, p: AxisParameters) -> tuple[float, float]:
     """Return the drive's force at an input and its rate, and that of a spring to the ground where a force drives."""
-    by_force = p[BY_FORCE] != 0.0
+    by_force = p.by_force != 0.0
     u, u_rate, spring = (0.0, 0.0, 0.0) if by_force else (value, value_rate, 0.0)
-    if p[RIPPLE] != 0.0:
-        wave = ripple(p[RIPPLE], p[WAVE], p[PHASE], p[SECOND_SINE], p[SECOND_COSINE], u, u_rate)
+    if p.ripple != 0.0:
+        wave = ripple(p.ripple, p.wave, p.phase, p.second_sine, p.second_cosine, u, u_rate)
         u, u_rate = u + wave[0], u_rate + wave[1]
-    if p[STIFFNESS] > 0.0:
-        loaded = p[LOAD] > 0.0
-        play, hardens = not loaded or p[PLAY_AT_DRIVE] > 0.5, not loaded or p[HARDENS_AT_DRIVE] > 0.5
-        spring = _spring(u - q, u_rate - v, p[STIFFNESS], p[DRIVE_DAMPING], play, hardens, p)
-    force = min(max(value if by_force else spring, -p[DRIVE_LIMIT]), p[DRIVE_LIMIT])
+    if p.stiffness > 0.0:
+        loaded = p.load > 0.0
+        play, hardens = not loaded or p.play_at_drive > 0.5, not loaded or p.hardens_at_drive > 0.5
+        spring = _spring(u - q, u_rate - v, p.stiffness, p.drive_damping, play, hardens, p)
+    force = min(max(value if by_force else spring, -p.drive_limit), p.drive_limit)
     return force, spring if by_force else 0.0
 
 
 @inlined
-def _rates(x: State, value: float, value_rate: float, extra: float, p: FloatArray, ripples: FloatArray) -> State:
+def _rates(x: State, value: float, value_rate: float, extra: float, p: AxisParameters) -> State:
     """Return the state's rate under an input, its rate, and a known extra force."""
     q, v, q_load, v_load, strain, bent = x
     drive, spring = _drive(q, v, value, value_rate, p)
-    resistance, strained, bending = _resistance(q, v, strain, bent, drive, p, ripples)
-    total = drive + spring + extra + p[OFFSET] - resistance
-    loaded = p[LOAD] > 0.0
+    resistance, strained, bending = _resistance(q, v, strain, bent, drive, p)
+    total = drive + spring + extra + p.offset - resistance
+    loaded = p.load > 0.0
     if not loaded:
-        return v, total / p[MASS], 0.0, 0.0, strained, bending
-    play, hardens = p[PLAY_AT_DRIVE] <= 0.5, p[HARDENS_AT_DRIVE] <= 0.5
-    pull = _spring(q_load - q, v_load - v, p[COUPLING], p[COUPLING_DAMPING], play, hardens, p)
-    return v, (total + pull) / p[MASS], v_load, -pull / p[LOAD], strained, bending
+        return v, total / p.mass, 0.0, 0.0, strained, bending
+    play, hardens = p.play_at_drive <= 0.5, p.hardens_at_drive <= 0.5
+    pull = _spring(q_load - q, v_load - v, p.coupling, p.coupling_damping, play, hardens, p)
+    return v, (total + pull) / p.mass, v_load, -pull / p.load, strained, bending
 
 
 @inlined
@@ -158,54 +173,54 @@ class AxisInput(NamedTuple):
 
 
 @inlined
-def _driven_by(inputs: AxisInput, at: float, begun: float, p: FloatArray) -> tuple[float, float]:
+def _driven_by(inputs: AxisInput, at: float, begun: float, p: AxisParameters) -> tuple[float, float]:
     """Return the input so many samples after the first, and its rate by sample, in a step that began there."""
-    late = p[DELAY] / inputs.dt
+    late = p.delay / inputs.dt
     if inputs.held:
         return inputs.samples[min(max(math.floor(begun - late + ROUNDING), 0), len(inputs.samples) - 1)], 0.0
     return _input(inputs.samples, inputs.slope, at - late)
 
 
 @inlined
-def _until_jump(inputs: AxisInput, at: float, p: FloatArray) -> float:
+def _until_jump(inputs: AxisInput, at: float, p: AxisParameters) -> float:
     """Return for how many samples an input stays smooth; a held one jumps at each, after its delay."""
-    since = at - p[DELAY] / inputs.dt + ROUNDING
+    since = at - p.delay / inputs.dt + ROUNDING
     return 1.0 - (since - math.floor(since)) + ROUNDING if inputs.held else math.inf
 
 
 @inlined
-def _rate_at(x: State, at: float, begun: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
+def _rate_at(x: State, at: float, begun: float, inputs: AxisInput, p: AxisParameters) -> State:
     """Return the state's rate so many samples after the first, in a step that began there."""
     value, step = _driven_by(inputs, at, begun, p)
     extra = 0.0 if len(inputs.extra) == 0 else _input(inputs.extra, inputs.extra[:0], at)[0]
-    return _rates(x, value, step / inputs.dt, extra, p, ripples)
+    return _rates(x, value, step / inputs.dt, extra, p)
 
 
 @inlined
-def _step(x: State, first: State, at: float, h: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
+def _step(x: State, first: State, at: float, h: float, inputs: AxisInput, p: AxisParameters) -> State:
     """Step by the classical Runge-Kutta method from x, whose rate is `first`, so many samples after the first."""
     middle = at + 0.5 * h / inputs.dt
-    second = _rate_at(plus(0.5 * h, first, x), middle, at, inputs, p, ripples)
-    third = _rate_at(plus(0.5 * h, second, x), middle, at, inputs, p, ripples)
-    last = _rate_at(plus(h, third, x), at + h / inputs.dt, at, inputs, p, ripples)
+    second = _rate_at(plus(0.5 * h, first, x), middle, at, inputs, p)
+    third = _rate_at(plus(0.5 * h, second, x), middle, at, inputs, p)
+    last = _rate_at(plus(h, third, x), at + h / inputs.dt, at, inputs, p)
     end: State = plus(h / 6.0, plus(1.0, last, plus(2.0, third, plus(2.0, second, first))), x)
     return end
 
 
 @inlined
-def _begin(x: State, at: FloatArray, drive: float, p: FloatArray) -> State:
+def _begin(x: State, at: FloatArray, drive: float, p: AxisParameters) -> State:
     """Set places and speeds; of a mass whose place is not known, as far from the other as the coupling is stretched."""
     last, first = at[0] == at[0], at[2] == at[2]  # not NaN
     strain, bent = x[STRAIN], x[BENT]
-    if p[LOAD] <= 0.0:
+    if p.load <= 0.0:
         q, v = (at[0], at[1]) if last else (at[2], at[3])
         return q, v, q, v, strain, bent
     q_load, v_load = (at[0], at[1]) if last else (at[2], at[3])
     q, v = (at[2], at[3]) if first else (at[0], at[1])
     if last and first:
         return q, v, q_load, v_load, strain, bent
-    force = (drive if p[BY_FORCE] != 0.0 else p[STIFFNESS] * (drive - q)) - p[DAMPING] * v
-    stretch = p[LOAD] / (p[LOAD] + p[MASS]) * force / p[COUPLING]
+    force = (drive if p.by_force != 0.0 else p.stiffness * (drive - q)) - p.damping * v
+    stretch = p.load / (p.load + p.mass) * force / p.coupling
     if last:
         return q + stretch, v, q_load, v_load, strain, bent
     return q, v, q_load - stretch, v_load, strain, bent
@@ -219,19 +234,17 @@ def _settled(state: float, at_rest: float, at_one: float, h: float) -> float:
 
 
 @inlined
-def _remembered(x: State, v: float, h: float, p: FloatArray) -> State:
+def _remembered(x: State, v: float, h: float, p: AxisParameters) -> State:
     """Return the state h later, of an axis that moves as measured, at v: its friction alone remembers."""
-    strain, bent, ratio, bristles = x[STRAIN], x[BENT], v / p[CREEP], 1.0 / p[PRESLIDING]
-    hold, speed = p[HOLD], abs(ratio)
+    strain, bent, ratio, bristles = x[STRAIN], x[BENT], v / p.creep, 1.0 / p.presliding
+    hold, speed = p.hold, abs(ratio)
     strain = _settled(strain, strain_rate(hold, ratio, speed, 0.0), strain_rate(hold, ratio, speed, 1.0), h)
     bent = _settled(bent, bristle_rate(bristles, 0.0, v, 0.0), bristle_rate(bristles, 0.0, v, 1.0), h)
     return x[Q], x[V], x[Q_LOAD], x[V_LOAD], strain, bent
 
 
 @compiled
-def integrate_axis(
-    inputs: AxisInput, substeps: int, shot: int, begin: FloatArray, p: FloatArray, ripples: FloatArray
-) -> FloatArray:
+def integrate_axis(inputs: AxisInput, substeps: int, shot: int, begin: FloatArray, p: AxisParameters) -> FloatArray:
     """Integrate an axis whose motion restarts every `shot` samples.
 
     Parameters
@@ -239,8 +252,6 @@ def integrate_axis(
     shot : samples from one beginning to the next; n or more: there is one; 1: it moves as measured at every sample.
     begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where one
         is unknown; the friction's strain and bristles continue.
-    p : in the order of `AXIS_PARAMETERS`.
-    ripples : (k, 3) forces that repeat along the axis: of the sine and of the cosine, N, and rad/m.
 
     Returns
     -------
@@ -248,12 +259,12 @@ def integrate_axis(
     drive's force, N; the first mass' acceleration, m/s².
     """
     n, x = len(inputs.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    out, loaded = np.empty((n, 6)), p[LOAD] > 0.0
+    out, loaded = np.empty((n, 6)), p.load > 0.0
     for i in range(n):
         value, step = _driven_by(inputs, i, i, p)
         if i % shot == 0 and i // shot < len(begin):
             x = _begin(x, begin[i // shot], value, p)
-        rate = _rate_at(x, i, i, inputs, p, ripples)
+        rate = _rate_at(x, i, i, inputs, p)
         out[i, 0] = x[Q]
         out[i, 1] = x[Q_LOAD] if loaded else x[Q]
         out[i, 2] = rate[V_LOAD] if loaded else rate[V]
@@ -267,7 +278,7 @@ def integrate_axis(
             while end - at > ROUNDING:
                 part = min(end - at, _until_jump(inputs, at, p))
                 if at > i:
-                    rate = _rate_at(x, at, at, inputs, p, ripples)
-                x = _step(x, rate, at, part * inputs.dt, inputs, p, ripples)
+                    rate = _rate_at(x, at, at, inputs, p)
+                x = _step(x, rate, at, part * inputs.dt, inputs, p)
                 at += part
     return out

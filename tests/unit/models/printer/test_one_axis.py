@@ -145,7 +145,7 @@ def test_every_effect_of_an_axis_does_something_at_any_step(name: str) -> None:
     kind = "acc_q" if name == "sensor_gain" else "pos_q"
     assert np.std(found[kind] - plain[kind]) > 1e-3 * np.std(plain[kind])
     own = with_effects(machine, {name: values})
-    steps = substeps_of(axis_parameters(own)[0], DT)
+    steps = substeps_of(axis_parameters(own), DT)
     finer = simulate_axis(own, given, DT, substeps=8 * steps).position_mm
     change = simulate_axis(own, given, DT).position_mm
     assert np.abs(change - finer).max() < 0.02 * np.abs(change - moved(machine, given).position_mm).max() + 1e-4
