@@ -98,8 +98,7 @@ def shifted(events: Iterable[Event], line: int, move: int, frame: Mapping[int, i
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class ModalState:
+class ModalState(NamedTuple):
     """How toolhead coordinates are written in the file here (the modal state a writer needs).
 
     X_file = (x - base_x) / unit_mm ;  E_file = (e - base_e) / flow / unit_mm ;

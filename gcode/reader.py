@@ -22,7 +22,7 @@ from gcode.dialect import DIALECTS, BareWords
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
 from gcode.program import EventKind, LimitCommand, ModalState, MotionLimits, Program, RawMove, limits_in_effect
-from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
+from gcode.state import DEFAULT_FEED_MM_PER_S, Modal, Vector4
 from gcode.text import BOM, PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
 
@@ -160,7 +160,7 @@ class _Reader:
         self.moves = MoveTable(len(self.lines), self.modal.position)
         self.events = EventTable(np.empty((len(self.lines), 3), dtype=np.int64))
         self.frames: list[ModalState] = []
-        self.frame_numbers: dict[FrameValues, int] = {}
+        self.frame_numbers: dict[ModalState, int] = {}
         self.frame = self._frame_number()
         self.states = [self.frame]  # frames in force one after another; the last is in force now
         self.limits = [self.modal.limits]
@@ -442,10 +442,10 @@ class _Reader:
                 self.limits.append(limits)
 
     def _frame_number(self) -> int:
-        values = self.modal.frame_values()
-        number = self.frame_numbers.setdefault(values, len(self.frames))
+        frame = self.modal.frame()
+        number = self.frame_numbers.setdefault(frame, len(self.frames))
         if number == len(self.frames):
-            self.frames.append(ModalState(*values))
+            self.frames.append(frame)
         return number
 
     def _warn(self, about: str, at: int, sentence: str) -> None:

@@ -24,7 +24,6 @@ FIRST_AXES = {"XY": (0, 1, 2), "ZX": (2, 0, 1), "XZ": (0, 2, 1), "YZ": (1, 2, 0)
 
 Vector4 = list[float]
 Whereabouts = tuple[tuple[float | None, ...], bool, bool]  # position and base, mm, None: unknown; absolute; z_known
-FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float, bool]
 
 
 Saved = Mapping[str, Any]  # what SAVE_GCODE_STATE saves, by attribute
@@ -71,13 +70,9 @@ class Modal:
 
     def frame(self) -> ModalState:
         """Return the part of the state that a writer needs."""
-        return ModalState(*self.frame_values())
-
-    def frame_values(self) -> FrameValues:
-        """Return the values of `frame` in order, a key that is much faster to look up than the frame."""
         x, y, z, e = self.base
         modes = self.unit, self.absolute, self.is_absolute(3), self.flow, self.feed_factor, self.feed, self.z_known
-        return (x, y, z, e), *modes
+        return ModalState((x, y, z, e), *modes)
 
     def guessed(self) -> Vector4:
         """Return the position; where unknown, the guess from before the macro."""

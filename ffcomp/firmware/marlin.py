@@ -10,7 +10,7 @@ filament more or less from segment to segment is a jump of its speed, and E's je
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from math import inf
 
@@ -267,7 +267,7 @@ class MarlinFilamentCount(FilamentCount):
 
     def frame(self, frame: ModalState) -> ModalState:
         """Return how numbers are written within a block."""
-        return replace(frame, base=(*frame.base[:3], self.zero_mm), flow=1.0)
+        return frame._replace(base=(*frame.base[:3], self.zero_mm), flow=1.0)
 
     def opening(self, frame: ModalState) -> list[bytes]:
         """Return the lines that take the file's factor out."""

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -91,7 +89,7 @@ places = st.lists(st.tuples(far, far, far, far, st.floats(0, 1000)), min_size=1,
 def test_every_number_is_written_as_python_would(
     rows: list[tuple[float, float, float, float, float]], frame: ModalState, relative_e: bool
 ) -> None:
-    frame = replace(frame, absolute_e=not relative_e)
+    frame = frame._replace(absolute_e=not relative_e)
     said, many = Said(frame), writer(frame)
     table = np.array(rows)
     stated = np.empty((len(rows), 3))
