@@ -2,12 +2,12 @@
 
 An axis q with commanded position u is the sum of oscillators side by side, q = Σ p_i, with shares Σ σ_i = 1:
 
-    m_i p̈_i = k_i (σ_i u − p_i) + c_i (σ_i u̇ − ṗ_i) − b_i ṗ_i
-    q/u = Σ σ_i (c_i s + k_i)/(m_i s² + (c_i + b_i) s + k_i)
+    p̈_i = k_i (σ_i u − p_i) + c_i (σ_i u̇ − ṗ_i) − b_i ṗ_i
+    q/u = Σ σ_i (c_i s + k_i)/(s² + (c_i + b_i) s + k_i)
 
-A mode of natural frequency ω and damping ratio ζ has k = ω² m and b + c = 2 ζ ω m, where c is in the belts; only ratios
-to the modal mass matter. A rigid axis is one stiff oscillator, damped by c, which causes no lag. The
-states are (p_i, ṗ_i) of every oscillator, those of x first. mm, s.
+A mode of natural frequency ω and damping ratio ζ has k = ω² and b + c = 2 ζ ω per modal mass, where c is in the belts.
+A rigid axis is one stiff oscillator, damped by c, which causes no lag. The states are (p_i, ṗ_i) of every oscillator,
+those of x first. mm, s.
 
 If the same belts drive x and y, they may exchange motion by δ (`belt_stiffness` in `models/effects`). Instead of u,
 the springs of each axis follow u + δ (w − q_d), with the other axis' w and driven point q_d. Otherwise the axes are
@@ -29,7 +29,7 @@ from models.vibration.state_space import StateSpace
 
 RIGID_HZ, RIGID_DAMPING = 1500.0, 1.1
 AXES = ("x", "y", "z")
-KINDS = ("mass", "stiffness", "belt_damping", "damping")
+KINDS = ("stiffness", "belt_damping", "damping")
 FILE_KINDS = ("frequency_hz", "damping_ratio", "share")
 MOUNT = re.compile(r"axes\.(?P<axis>[xyz])\.mount_frequency_hz")
 EDGE = 1e-3  # fraction of the distance between two modes: a mount is no closer to either
@@ -37,7 +37,8 @@ LEAST_WEIGHT = 1e-6  # smallest part of the belt's force on a mode
 NAME = re.compile(r"axes\.(?P<axis>[xyz])\.(?P<kind>\w+)\[(?P<mode>\d+)\]")
 # what a draw of 20 deviates moves, as when an axis had exactly two oscillators: the same seeds give the same machines
 COLUMNS = 20
-SECOND_MASS, SECOND_STIFFNESS, SECOND_DAMPING = 13, 14, 17
+FIRST_MODE = {"stiffness": 3, "belt_damping": 6, "damping": 9}
+SECOND_MODE = {"stiffness": 14, "damping": 17}
 
 
 @dataclass(frozen=True)
@@ -68,22 +69,21 @@ class Axis:
 class Oscillator:
     """One mode of an axis."""
 
-    stiffness: float  # k, 1/s² a unit of modal mass
+    stiffness: float  # k, 1/s²: ω²
     damping: float  # b, 1/s
     belt_damping: float = 0.0  # c, 1/s
     share: float = 1.0  # σ, of either sign
-    mass: float = 1.0  # m
     rigid: bool = False  # it stands for an axis that does not vibrate
 
     @property
     def frequency_hz(self) -> float:
         """Return the undamped natural frequency."""
-        return float(np.sqrt(self.stiffness / self.mass) / (2 * np.pi))
+        return float(np.sqrt(self.stiffness) / (2 * np.pi))
 
     @property
     def damping_ratio(self) -> float:
         """Return ζ of the mode with its motor held."""
-        return float((self.damping + self.belt_damping) / (2 * np.sqrt(self.stiffness * self.mass)))
+        return float((self.damping + self.belt_damping) / (2 * np.sqrt(self.stiffness)))
 
     def with_value(self, kind: str, value: float) -> Oscillator:
         """Return the mode with one number replaced."""
@@ -92,7 +92,7 @@ class Oscillator:
             stiffness, damping, belts = self.stiffness * more**2, self.damping * more, self.belt_damping * more
             return replace(self, stiffness=stiffness, damping=damping, belt_damping=belts)
         if kind == "damping_ratio":
-            total = 2 * value * float(np.sqrt(self.stiffness * self.mass))
+            total = 2 * value * float(np.sqrt(self.stiffness))
             belts = self.belt_damping if self.rigid else total * self.belt_share
             return replace(self, damping=total - belts, belt_damping=belts)
         return replace(self, **{kind: value})  # type: ignore[arg-type]
@@ -220,7 +220,7 @@ class ModalAxes(VibrationModel):
     def drive_stiffness(self) -> FloatArray:
         """Return k between motor and driven point of each axis, (3,) N/m, or per kilogram."""
         slack = [
-            sum(w * o.mass / o.stiffness for w, o in zip(self._weights(axis), modes, strict=True))
+            sum(w / o.stiffness for w, o in zip(self._weights(axis), modes, strict=True))
             for axis, modes in enumerate(self.axes)
         ]
         return self.moved_kg / np.array(slack)
@@ -287,7 +287,7 @@ class ModalAxes(VibrationModel):
         response = np.zeros((len(s), 3), dtype=np.complex128)
         for axis, _, o in self._each():
             drive = o.belt_damping * s + o.stiffness
-            response[:, axis] += o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
+            response[:, axis] += o.share * drive / (s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
         return response
 
     def _part(self, axis: int, i: int) -> float:
@@ -309,13 +309,13 @@ class ModalAxes(VibrationModel):
         for m, (axis, _, o) in enumerate(each):
             p, rate = 2 * m, 2 * m + 1
             a[p, rate] = 1.0
-            a[rate, p], a[rate, rate] = -o.stiffness / o.mass, -(o.belt_damping + o.damping) / o.mass
-            command[rate, axis], slope[rate, axis] = o.share * o.stiffness / o.mass, o.share * o.belt_damping / o.mass
+            a[rate, p], a[rate, rate] = -o.stiffness, -(o.belt_damping + o.damping)
+            command[rate, axis], slope[rate, axis] = o.share * o.stiffness, o.share * o.belt_damping
             carriage[axis, p] = 1.0
         for m, (axis, _, o) in enumerate(each if self.exchange else ()):
             other, rate = 1 - axis, 2 * m + 1
             if axis < 2:
-                command[rate, other] = o.share * o.stiffness / o.mass * self.exchange
+                command[rate, other] = o.share * o.stiffness * self.exchange
                 for k, (of, mode, _) in enumerate(each):
                     if of == other:
                         a[rate, 2 * k] -= command[rate, other] * self._part(of, mode)
@@ -329,7 +329,7 @@ class ModalAxes(VibrationModel):
         for axis, _, o in self._each():
             lag = o.damping / o.stiffness
             tau[axis] += o.share * lag
-            bend[axis] += o.share * (o.mass / o.stiffness - lag * (o.belt_damping / o.stiffness + lag))
+            bend[axis] += o.share * (1.0 / o.stiffness - lag * (o.belt_damping / o.stiffness + lag))
         return tau, np.tile(np.diag(bend + tau**2), (len(xy), 1, 1))
 
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
@@ -345,7 +345,7 @@ class ModalAxes(VibrationModel):
         """Return the model's numbers for the nonlinear printer's kernels, SI."""
         k = self.drive_stiffness
         mobility = [
-            sum(w * o.stiffness / o.mass for w, o in zip(self._weights(axis), modes, strict=True))
+            sum(w * o.stiffness for w, o in zip(self._weights(axis), modes, strict=True))
             for axis, modes in enumerate(self.axes)
         ]
         return {
@@ -367,10 +367,10 @@ class ModalAxes(VibrationModel):
         table[:, 0] = table[:, 1] = 1.0  # for an idle mode
         for axis, (modes, k) in enumerate(zip(self.axes, self.drive_stiffness, strict=True)):
             for i, (o, weight) in enumerate(zip(modes, self._weights(axis), strict=True)):
-                omega2, part = o.stiffness / o.mass, weight / o.share if o.share else 0.0
+                omega2, part = o.stiffness, weight / o.share if o.share else 0.0
                 highest = all(o is mode or o.frequency_hz > mode.frequency_hz for mode in modes)
-                table[i, :2, axis] = omega2, o.damping / o.mass
-                table[i, 2:, axis] = o.belt_damping / o.mass, o.share, part, k * part / omega2, highest
+                table[i, :2, axis] = omega2, o.damping
+                table[i, 2:, axis] = o.belt_damping, o.share, part, k * part / omega2, highest
         return table
 
 
@@ -407,26 +407,23 @@ def _with_forces(
     """
     if modes[0].rigid:
         return tuple(modes)
-    omega2 = np.array([o.stiffness / o.mass for o in modes])
+    omega2 = np.array([o.stiffness for o in modes])
     share = np.array([o.share for o in modes])
     phi = np.sqrt(weights * omega2 / k)
     shown = np.divide(share * omega2, k * phi, out=np.zeros_like(phi), where=phi > 0)  # of the nozzle
     more = np.outer(phi, phi)
     squares, shapes = np.linalg.eigh(np.diag(omega2) + stiffer * k * more) if stiffer else (omega2, np.eye(len(phi)))
-    damping = shapes.T @ (np.diag([o.damping / o.mass for o in modes]) + damped * more) @ shapes
-    belts = shapes.T @ np.diag([o.belt_damping / o.mass for o in modes]) @ shapes
+    damping = shapes.T @ (np.diag([o.damping for o in modes]) + damped * more) @ shapes
+    belts = shapes.T @ np.diag([o.belt_damping for o in modes]) @ shapes
     shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / squares
     each = zip(squares.tolist(), np.diag(damping).tolist(), np.diag(belts).tolist(), shares.tolist(), strict=True)
     return tuple(Oscillator(square, guide, belt, share=sigma) for square, guide, belt, sigma in each)
 
 
 def _column(axis: int, mode: int, kind: str) -> int:
-    first = 3 * KINDS.index(kind) + axis
-    if mode == 0:
-        return first
-    if mode == 1:
-        second = {"mass": SECOND_MASS, "stiffness": SECOND_STIFFNESS + axis, "damping": SECOND_DAMPING + axis}
-        return second.get(kind, first)
+    first = FIRST_MODE[kind] + axis
+    if mode < 2:
+        return SECOND_MODE[kind] + axis if mode and kind in SECOND_MODE else first
     return COLUMNS + 12 * (mode - 2) + first
 
 
