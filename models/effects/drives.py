@@ -12,7 +12,6 @@ from models.effects.effect import (
     AT_DRIVE,
     EACH,
     USUAL_SHARE,
-    AxisWords,
     Effect,
     OnAxis,
     Terms,
@@ -38,9 +37,9 @@ def _with_belts(machine: Machine, values: Values) -> Machine:
 
 BELT_STIFFNESS = _drive(
     name="belt_stiffness",
-    title="Belts tighter or slacker than in the file",
+    title="Belts or couplings stiffer or softer than in the file",
     kind="parameter",
-    physics="Tension, wear and temperature change a belt's stiffness.",
+    physics="Tension, wear and temperature change a belt's stiffness; a coupling's formula may omit a compliance.",
     equation="k → k (1 + r)",
     parameters=(
         amplitude(
@@ -52,28 +51,24 @@ BELT_STIFFNESS = _drive(
         "effector_mass": "Two places on the bed: mass shifts the modes by other factors.",
         "belt_position_stiffness": "Two heights: only there the shift depends on the carriage's height.",
         "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
+        "coulomb_friction": "Two amplitudes: a stiffness is the same for both.",
+        "belt_hardening": "Two amplitudes: a constant stiffness is the same for both.",
     },
     fold=_with_belts,
     of_axis=(AT_DRIVE,),
     of=ANY,
     needs="spring",
-    remedy="Check the belts' tension{where}, and tension them alike (same note when plucked).",
-    corrects_file=True,
-    axis_words=AxisWords(
-        title="A drive or coupling stiffer or softer than in the file",
-        physics="Tension, temperature, wear, or a formula that omits a compliance.",
-        remedy="Measure the stiffness again, including clamps, shafts and mounts, and write it in the file.",
-        confounded_with={
-            "coulomb_friction": "Two amplitudes: a stiffness is the same for both.",
-            "belt_hardening": "Two amplitudes: a constant stiffness is the same for both.",
-        },
+    remedy=(
+        "Check the belts' tension{where}, and tension them alike (same note when plucked); check couplings, clamps and "
+        "shafts."
     ),
+    corrects_file=True,
 )
 
 
 BELT_DAMPING = _drive(
     name="belt_damping",
-    title="Damping in the belts",
+    title="Damping in belts or drive, not to the ground",
     kind="parameter",
     physics=(
         "Part of an axis' damping is in its belts, between motor and carriage, and not in the guides, between carriage "
@@ -100,17 +95,8 @@ BELT_DAMPING = _drive(
     fold=lambda machine, values: replace(machine, vibration=machine.vibration.with_belt_damping(values["share"])),
     of=("axes", "axis"),
     needs="command",
-    remedy="Nothing to repair: set belt_damping_share of each axis{where} in the file.",
+    remedy="Nothing to repair: put the damping{where} in the file's belt_damping_share, or drive_damping.",
     corrects_file=True,
-    axis_words=AxisWords(
-        title="Damping across the drive, not to the ground",
-        physics="The damping is in the belt, the strip or the servo law, not in bearings.",
-        remedy="Nothing to repair: set drive_damping instead of damping in the file.",
-        confounded_with={
-            "command_delay": "Tones above the resonance: there a delay keeps turning the phase, damping does so once.",
-            "guide_damping": "A steady speed: only damping to the ground resists there.",
-        },
-    ),
 )
 
 
@@ -148,7 +134,7 @@ def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray)
 
 BELT_HARDENING = _drive(
     name="belt_hardening",
-    title="Belts that stiffen or soften as they stretch",
+    title="Belts or couplings that stiffen or soften as they stretch",
     kind="force",
     physics="Teeth settle and fibres straighten, so the belt's force is not quite proportional to its stretch.",
     equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
@@ -172,20 +158,15 @@ BELT_HARDENING = _drive(
     confounded_with={
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
+        "pendulum_gravity": "The drive switched off: gravity stays, a softening drive does not.",
     },
     of_axis=(AT_DRIVE,),
     of=ANY,
     terms=_hardening_terms,
     needs="spring",
-    remedy="Tension the belts{where}: a belt that stiffens under load is slack, or its clamp yields.",
-    axis_words=AxisWords(
-        title="A drive or coupling that stiffens or softens as it stretches",
-        physics="Strips, couplings and magnetic springs are not linear.",
-        remedy="Check the flexible parts: clamps, end stops, preload.",
-        confounded_with={
-            "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
-            "pendulum_gravity": "The drive switched off: gravity stays, a softening drive does not.",
-        },
+    remedy=(
+        "Tension the belts{where}: a belt that stiffens under load is slack, or its clamp yields. Check couplings, end "
+        "stops and preload."
     ),
 )
 
@@ -197,9 +178,9 @@ def _play_terms(values: Values, printer: Terms) -> Terms:
 
 BELT_BACKLASH = _drive(
     name="belt_backlash",
-    title="Backlash between motor and carriage",
+    title="Backlash in belts, drive or coupling",
     kind="force",
-    physics="A loose pulley or tooth moves freely through a dead band; spring and damper of the belt act outside it.",
+    physics="A loose pulley, gear, key or joint moves freely through a dead band; spring and damper act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
     parameters=(
         amplitude(
@@ -227,22 +208,16 @@ BELT_BACKLASH = _drive(
         "where the motion pushes harder than gravity pulls."
     ),
     confounded_with={
-        "coulomb_friction": "Friction acts when a carriage reverses, backlash only when the belt's force does.",
+        "coulomb_friction": "Friction acts when the motion reverses, backlash only when the drive's force does.",
+        "belt_hardening": "Small motions: both are softest there, but only backlash knocks.",
         "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
     },
     of_axis=(AT_DRIVE,),
     of=ANY,
     terms=_play_terms,
     needs="spring",
-    remedy="Look for backlash{where}: loose pulley screws, worn arms or joints, a yielding belt clamp.",
-    axis_words=AxisWords(
-        title="Backlash in the drive or coupling",
-        physics="Gear, key or joint move freely through a dead band; spring and damper act outside it.",
-        remedy="Look for backlash in gear teeth, keys, pins and couplings; preload them.",
-        confounded_with={
-            "coulomb_friction": "Friction acts when the motion reverses, backlash only when the drive's force does.",
-            "belt_hardening": "Small motions: both are softest there, but only backlash knocks.",
-        },
+    remedy=(
+        "Look for backlash{where}: loose pulley screws, keys, couplings or belt clamps, worn gears, arms or joints."
     ),
 )
 
@@ -287,7 +262,7 @@ PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitche
 
 COGGING = _drive(
     name="cogging",
-    title="Motor ripple once per step cycle",
+    title="Motor ripple once per cycle of its steps",
     kind="command",
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
@@ -327,12 +302,8 @@ COGGING = _drive(
         "second_cosine": values["second_cosine"],
     },
     needs="command",
-    remedy="Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
-    axis_words=AxisWords(
-        title="Drive ripple once per motor cycle",
-        physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
-        remedy="Calibrate the driver's microsteps or its encoder, or lower the current.",
-        confounded_with={"belt_stiffness": "Several speeds: a resonance stays, ripple moves with the speed."},
+    remedy=(
+        "Calibrate the drivers' microsteps or the encoder, or lower the current{where}; stiffer mounts do not help."
     ),
 )
 
@@ -342,7 +313,7 @@ COMMAND_DELAY = _drive(
     law_of="lateness",
     title="A delay between command and motor",
     kind="command",
-    physics="Electronics, filters and step pulses take time, so the motor executes the command late.",
+    physics="Electronics, filters, buses and step pulses take time, so the motor executes the command late.",
     equation="u_d(t) → u_d(t − τ)",
     parameters=(
         amplitude(
@@ -353,21 +324,10 @@ COMMAND_DELAY = _drive(
     confounded_with={
         "guide_damping": "Several speeds and frequencies: damping lowers the resonance, a delay does not.",
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
+        "belt_damping": "Tones above the resonance: there a delay keeps turning the phase, damping does so once.",
+        "sensor_lag": "Two sensors of one motion: a late drive is late in both.",
     },
     of=ANY,
     terms=lambda values, printer: {"delay": values["delay_s"] + printer.get("delay", 0.0)},
     remedy="Nothing to repair: the firmware or drives act late{where}. Once in the file, it is compensated.",
-    axis_words=AxisWords(
-        title="A delayed drive",
-        physics="Electronics, filters and buses take time, so the axis is driven by an earlier input.",
-        remedy=(
-            "Nothing to repair: drive or sensors are late. Once in the file, it is accounted for. Half a sample of a "
-            'recorded force, current, voltage or duty is due to a controller that holds it: axis.drive.hold = "steps".'
-        ),
-        confounded_with={
-            "guide_damping": "Several speeds and frequencies: damping lowers a resonance, a delay does not.",
-            "belt_damping": "Tones above the resonance: there a delay keeps turning the phase, damping does so once.",
-            "sensor_lag": "Two sensors of one motion: a late drive is late in both.",
-        },
-    ),
 )

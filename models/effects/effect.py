@@ -78,12 +78,12 @@ class EffectParameter:
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
     on_axis: OnAxis = OnAxis()
 
-    def on(self, quantities: Quantities, meaning: str) -> EffectParameter:
+    def on(self, quantities: Quantities) -> EffectParameter:
         """Return the parameter with the keys, units and numbers of an axis, for display only."""
         scale = quantities.scale(self.name)
         low, high = self.typical
         unit, key = quantities.unit(self.unit), quantities.key(self.name)
-        return replace(self, name=key, unit=unit, meaning=meaning, typical=(scale * low, scale * high))
+        return replace(self, name=key, unit=unit, typical=(scale * low, scale * high))
 
     @property
     def neutral(self) -> float:
@@ -178,17 +178,6 @@ class Signals:
 
 
 @dataclass(frozen=True)
-class AxisWords:
-    """The words for a printer's effect on one axis by itself, which has no carriages, belts or rails."""
-
-    title: str
-    physics: str
-    remedy: str
-    confounded_with: Mapping[str, str]
-    meanings: Mapping[str, str] = field(default_factory=dict)  # of parameters
-
-
-@dataclass(frozen=True)
 class Effect:
     """One deviation of a printer from the model.
 
@@ -219,7 +208,6 @@ class Effect:
     family: str = ""  # the physical cause, whatever the law; printed before the name
     law_of: str = ""  # laws of one cause differ by little: they never combine and are no rivals of each other
     corrects_file: bool = False  # it only corrects a number of the machine file
-    axis_words: AxisWords | None = None  # None: its words suit any machine
     of_motors: bool = False  # its values belong to belts and motors, not to carriages or axes
     shifts_time: bool = False  # a recorded sample depends on others than itself
 
@@ -248,16 +236,9 @@ class Effect:
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")
 
     def on_axis(self, quantities: Quantities) -> Effect:
-        """Return the effect with the words, keys and units of one axis by itself."""
-        words = self.axis_words or AxisWords(self.title, self.physics, self.remedy, self.confounded_with)
-
-        def in_words(parameters: Sequence[EffectParameter]) -> tuple[EffectParameter, ...]:
-            return tuple(p.on(quantities, words.meanings.get(p.name, p.meaning)) for p in parameters)
-
-        said = {key: getattr(words, key) for key in ("title", "physics", "remedy", "confounded_with")}
-        return replace(
-            self, **said, parameters=in_words(self.parameters), of_axis=in_words(self.of_axis), of_printers=()
-        )
+        """Return the effect with the keys and units of one axis by itself."""
+        parameters, of_axis = (tuple(p.on(quantities) for p in each) for each in (self.parameters, self.of_axis))
+        return replace(self, parameters=parameters, of_axis=of_axis, of_printers=())
 
     def missing(self, table: Mapping[str, Any]) -> list[str]:
         """Name the missing shapes: with an amplitude, a table needs all that have no default."""

@@ -10,7 +10,6 @@ import numpy as np
 from models.effects.effect import (
     EACH,
     USUAL_SHARE,
-    AxisWords,
     Effect,
     EffectParameter,
     OnAxis,
@@ -49,10 +48,10 @@ def reversal_parameters(size: Size) -> tuple[EffectParameter, EffectParameter]:
 
 GUIDE_DAMPING = Effect(
     name="guide_damping",
-    title="More viscous friction in the guides",
+    title="More viscous friction",
     family="viscous friction",
     kind="parameter",
-    physics="Grease shears between carriage and rail: a force proportional to speed.",
+    physics="Grease and seals shear in guides and bearings: a force proportional to speed.",
     equation="b → b + Δb",
     parameters=(
         amplitude(
@@ -70,22 +69,13 @@ GUIDE_DAMPING = Effect(
     confounded_with={
         "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
+        "quadratic_drag": "Two speeds: viscous friction is proportional to speed.",
         "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",
     },
     fold=lambda machine, v: replace(machine, vibration=machine.vibration.with_guide_damping(v["added_n_s_per_m"])),
     of=("carriages", "axes", "axis"),
-    remedy="Check the rails{where} for stiff grease and tight carriages; warm grease has less friction.",
+    remedy="Check rails and bearings{where} for stiff grease, tight seals or carriages; warm grease has less friction.",
     corrects_file=True,
-    axis_words=AxisWords(
-        title="More viscous friction",
-        physics="Grease and seals shear: a resistance proportional to speed.",
-        remedy="Check bearings and gear for stiff grease or tight seals; warm grease has less friction.",
-        confounded_with={
-            "command_delay": "Several speeds and frequencies: a delay keeps a resonance's height.",
-            "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
-            "quadratic_drag": "Two speeds: viscous friction is proportional to speed.",
-        },
-    ),
 )
 
 
@@ -111,16 +101,16 @@ def _dry_terms(values: Values, printer: Terms) -> Terms:
 
 COULOMB_FRICTION = Effect(
     name="coulomb_friction",
-    title="Dry friction in the guides",
+    title="Dry friction",
     family="dry friction",
     law_of="dry friction",
     kind="force",
-    physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
+    physics="Guides, bearings, seals and gears resist with the same force at every speed, and lock at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
         amplitude(
             "force_n",
-            "friction of each guideway",
+            "F_C, of each guideway",
             FORCES,
             (0.5, 10),
             0.5,
@@ -134,31 +124,20 @@ COULOMB_FRICTION = Effect(
     confounded_with={
         "stribeck_friction": "Slow moves: only Stribeck friction falls with speed.",
         "guide_damping": "Two speeds: viscous friction grows with speed, dry friction does not.",
-        "belt_backlash": "Backlash needs the belt's force to change sign, friction the carriage's speed.",
+        "belt_backlash": "Backlash needs the drive's force to change sign, friction the speed.",
+        "friction_by_load": "Two loads at one speed: dry friction is the same for both.",
         "joint_friction": "One tower at a time near the centre: the effector moves, two carriages rest.",
     },
     of=("carriages", "axes", "axis"),
     of_printers=(PRESLIDING,),
     terms=_dry_terms,
-    remedy="Clean and oil the rails{where}; check that no belt rubs and no carriage is too tight.",
-    axis_words=AxisWords(
-        title="Dry friction",
-        physics="Bearings, seals and gears resist equally at every speed, and lock at rest.",
-        remedy="Check bearings, seals and gear: lubrication and preload.",
-        confounded_with={
-            "stribeck_friction": "Slow motions: only Stribeck friction falls with speed.",
-            "guide_damping": "Two speeds: viscous friction grows with speed, dry friction does not.",
-            "belt_backlash": "Backlash needs the drive's force to change sign, friction the speed.",
-            "friction_by_load": "Two loads at one speed: dry friction is the same for both.",
-        },
-        meanings={"force_n": "F_C: at any speed"},
-    ),
+    remedy="Clean and oil rails, bearings and gears{where}; check that no belt or seal rubs and no carriage is tight.",
 )
 
 
 STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
-    title="Guides that stick: more dry friction at rest",
+    title="More dry friction at rest",
     family="dry friction that falls with speed",
     law_of="dry friction",
     kind="force",
@@ -200,13 +179,7 @@ STRIBECK_FRICTION = Effect(
         "fading": 1e3 / values["velocity_mm_per_s"],
         "fading_power": values["exponent"] / 2,
     },
-    remedy="Clean and oil the rails{where}: they stick at rest; thinner oil or new bearings help.",
-    axis_words=AxisWords(
-        title="More dry friction at rest",
-        physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
-        remedy="Check bearings, seals and gear: they stick at rest; thinner oil or new bearings help.",
-        confounded_with={"coulomb_friction": "Motions slower than v_s: only here the friction rises towards rest."},
-    ),
+    remedy="Clean and oil rails, bearings and gears{where}: they stick at rest; thinner oil or new bearings help.",
 )
 
 

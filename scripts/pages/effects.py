@@ -551,11 +551,10 @@ def _values(values: Mapping[str, Any]) -> str:
 
 
 def _rivals(effect: Effect) -> str:
-    if not effect.confounded_with:
+    rivals = {n: how for n, how in effect.confounded_with.items() if n in effects_of() or n not in CATALOGUE}
+    if not rivals:
         return ""
-    return "\n".join(
-        ["Easily confused with:\n", *(f"- {_linked(n)}: {how}" for n, how in effect.confounded_with.items())]
-    )
+    return "\n".join(["Easily confused with:\n", *(f"- {_linked(n)}: {how}" for n, how in rivals.items())])
 
 
 def _linked(name: str) -> str:
