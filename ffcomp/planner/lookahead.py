@@ -24,19 +24,22 @@ from models.compiled import kernel
 
 
 @kernel
-def corner_ratios(along: float) -> tuple[float, float]:
-    """Return by how much each rule multiplies v²: junction deviation and centripetal; infinite on a straight path.
+def corner_v2(along: float, deviation: float, length: float, jump: float, filament_v: float) -> float:
+    """Return the highest v² at a corner: by junction deviation, centripetal, and by the filament.
 
     A circle replaces the corner. Its radius is s/(1 - s) of its distance from the corner, s = sin(theta/2), and
     tan(theta/2) of the distance from the corner to where it touches the segments, which stays within half of either.
 
     along : cosine of the angle between the two directions
+    deviation, length : of a segment, times its acceleration; the smaller one of the two segments
+    jump : of the filament per path;  filament_v : the step in its speed that is allowed
     """
+    v2 = (filament_v / jump) ** 2 if jump > 0.0 else np.inf
     sine = np.sqrt(max(0.5 * (1.0 + along), 0.0))
     cosine = np.sqrt(max(0.5 * (1.0 - along), 0.0))
     if sine < 1.0 and cosine > 0.0:
-        return sine / (1.0 - sine), sine / cosine
-    return np.inf, np.inf
+        v2 = min(v2, sine / (1.0 - sine) * deviation, sine / cosine * (0.5 * length))
+    return v2
 
 
 _RESTS = (EventKind.STOP, EventKind.DWELL, EventKind.RAW_MOVE)
@@ -163,18 +166,12 @@ def _corners(lines: Lines, bounds: Bounds, stop_before: BoolArray, filament_jump
         stops |= stop_before[i]
         if length[i] > 0.0:
             if not stops and travels[i] and travels[last]:  # extruder-only moves begin and end at rest
-                v2 = min(speed[i] ** 2, speed[last] ** 2)
-                lowest_deviation = min(deviation[i] * acceleration[i], deviation[last] * acceleration[last])
-                lowest_gain = min(2.0 * length[i] * acceleration[i], 2.0 * length[last] * acceleration[last])
+                by_deviation = min(deviation[i] * acceleration[i], deviation[last] * acceleration[last])
+                by_length = min(length[i] * acceleration[i], length[last] * acceleration[last])
                 ahead, behind = direction[i], direction[last]
                 along = ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2]
-                by_deviation, by_circle = corner_ratios(along)
-                if by_deviation < np.inf:
-                    v2 = min(v2, by_deviation * lowest_deviation, by_circle * (0.25 * lowest_gain))
-                step = abs(ahead[3] - behind[3])
-                if step > 0.0:
-                    v2 = min(v2, (filament_jump / step) ** 2)
-                corner[m] = v2
+                v2 = corner_v2(along, by_deviation, by_length, abs(ahead[3] - behind[3]), filament_jump)
+                corner[m] = min(speed[i] ** 2, speed[last] ** 2, v2)
             kept[m] = i
             m, last, stops = m + 1, i, False
     return kept[:m], corner[:m]

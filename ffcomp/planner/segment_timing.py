@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.planner.lookahead import corner_ratios
+from ffcomp.planner.lookahead import corner_v2
 from models.arrays import FloatArray
 from models.compiled import kernel
 from models.machine import CORNER_MM_PER_S
@@ -195,78 +195,50 @@ def _junction_limits(
         if d[k] <= 1e-9 or d[k - 1] <= 1e-9:
             continue
         dot = unit[k, 0] * unit[k - 1, 0] + unit[k, 1] * unit[k - 1, 1] + unit[k, 2] * unit[k - 1, 2]
-        by_deviation, by_circle = corner_ratios(dot)
-        v2 = 1e12
-        if by_deviation < np.inf:
-            smallest = min(d[k] * a[k], d[k - 1] * a[k - 1])
-            v2 = min(by_deviation * deviation * min(a[k], a[k - 1]), 0.5 * by_circle * smallest)
-        jump = abs(ratio[k] - ratio[k - 1])
-        if jump > 0.0 and (ratio[k] != 0.0 or ratio[k - 1] != 0.0):
-            v2 = min(v2, (extruder_corner_v / jump) ** 2)
+        by_deviation, by_length = deviation * min(a[k], a[k - 1]), min(d[k] * a[k], d[k - 1] * a[k - 1])
+        v2 = corner_v2(dot, by_deviation, by_length, abs(ratio[k] - ratio[k - 1]), extruder_corner_v)
         limit[k] = np.sqrt(v2)
     return limit
 
 
 @kernel
-def _travelled(
-    t: float, left: float, length: float, v0: float, v1: float, c: float, a: float, t_up: float, t_down: float
-) -> float:
-    """Return the distance along a segment, mm, at time `t` after its beginning and `left` before its end."""
+def _point(vertices: FloatArray, speeds: SegmentSpeeds, k: int, t: float) -> tuple[float, float, float]:
+    """Return where the nozzle is, mm, so long after segment k has begun."""
+    c, a, left = speeds.cruise[k], speeds.acceleration[k], speeds.duration[k] - t
+    v0, v1 = min(speeds.junction[k], c), min(speeds.junction[k + 1], c)
+    x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
+    dx, dy, dz = vertices[k + 1, 0] - x, vertices[k + 1, 1] - y, vertices[k + 1, 2] - z
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    t_up, t_down = (c - v0) / a, (c - v1) / a
     if t < t_up:
-        return v0 * t + 0.5 * a * t * t
-    if left < t_down:
-        return length - v1 * left - 0.5 * a * left * left
-    return v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
+        way = v0 * t + 0.5 * a * t * t
+    elif left < t_down:
+        way = length - v1 * left - 0.5 * a * left * left
+    else:
+        way = v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
+    f = (1.0 / length if length > 0.0 else 0.0) * way
+    return x + f * dx, y + f * dy, z + f * dz
 
 
 @kernel
 def _positions(due: FloatArray, vertices: FloatArray, speeds: SegmentSpeeds, times: FloatArray) -> FloatArray:
-    cruise, junction, acceleration, duration = speeds
-    n, k = len(cruise), 0
-    out = np.empty((len(times), 3))
+    k, out = 0, np.empty((len(times), 3))
     for i in range(len(times)):
-        while k < n - 1 and times[i] >= due[k + 1]:
+        while k < len(due) - 2 and times[i] >= due[k + 1]:
             k += 1
-        t = times[i] - due[k]
-        if t <= 0.0 or t >= duration[k] or cruise[k] <= 0.0:
-            rest = k if t <= 0.0 else k + 1
-            for j in range(3):
-                out[i, j] = vertices[rest, j]
-            continue
-        c, a = cruise[k], acceleration[k]
-        v0, v1 = min(junction[k], c), min(junction[k + 1], c)
-        length = 0.0
-        for j in range(3):
-            length += (vertices[k + 1, j] - vertices[k, j]) ** 2
-        length = np.sqrt(length)
-        f = _travelled(t, duration[k] - t, length, v0, v1, c, a, (c - v0) / a, (c - v1) / a)
-        for j in range(3):
-            out[i, j] = vertices[k, j] + f / length * (vertices[k + 1, j] - vertices[k, j])
+        t = min(max(times[i] - due[k], 0.0), speeds.duration[k])
+        out[i, 0], out[i, 1], out[i, 2] = _point(vertices, speeds, k, t)
     return out
 
 
 @kernel
 def sample_segments(vertices: FloatArray, speeds: SegmentSpeeds, substeps: int) -> FloatArray:
     """Sample the nozzle command at `substeps` equal parts of every segment, ramps included: (n·substeps + 1, 3) mm."""
-    cruise, junction, acceleration, duration = speeds
-    n = len(cruise)
+    n = len(speeds.cruise)
     out = np.empty((n * substeps + 1, 3))
-    for k in range(n):
-        c, a, t_all = cruise[k], acceleration[k], duration[k]
-        v0, v1 = min(junction[k], c), min(junction[k + 1], c)
-        t_up, t_down = (c - v0) / a, (c - v1) / a
-        ahead_x = vertices[k + 1, 0] - vertices[k, 0]
-        ahead_y = vertices[k + 1, 1] - vertices[k, 1]
-        ahead_z = vertices[k + 1, 2] - vertices[k, 2]
-        length = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y + ahead_z * ahead_z)
-        per_mm = 1.0 / length if length > 0.0 else 0.0
-        for s in range(substeps):
-            t = t_all * s / substeps
-            f = per_mm * _travelled(t, t_all - t, length, v0, v1, c, a, t_up, t_down)
-            row = k * substeps + s
-            out[row, 0] = vertices[k, 0] + f * ahead_x
-            out[row, 1] = vertices[k, 1] + f * ahead_y
-            out[row, 2] = vertices[k, 2] + f * ahead_z
+    for row in range(n * substeps):
+        k, t = row // substeps, speeds.duration[row // substeps] * (row % substeps) / substeps
+        out[row, 0], out[row, 1], out[row, 2] = _point(vertices, speeds, k, t)
     for i in range(3):
         out[n * substeps, i] = vertices[n, i]
     return out
