@@ -288,11 +288,8 @@ class ForceBalance(AxisProblem):
         """
         motion = one.simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
         self.work.add(STEP_COST * motion.steps)
-        return (
-            axis_parameters(machine).mass * self._accelerations[run]
-            + motion.force
-            - HEAVY_KG * motion.motor_acceleration
-        )
+        mass = axis_parameters(machine).mass
+        return mass * self._accelerations[run] + motion.force - HEAVY_KG * motion.motor_acceleration
 
 
 def _states(one: Shots) -> FloatArray:

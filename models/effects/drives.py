@@ -37,9 +37,9 @@ def _with_belts(machine: Machine, values: Values) -> Machine:
 
 BELT_STIFFNESS = _drive(
     name="belt_stiffness",
-    title="Belts or couplings stiffer or softer than in the file",
+    title="A drive stiffer or softer than in the file",
     kind="parameter",
-    physics="Tension, wear and temperature change a belt's stiffness; a coupling's formula may omit a compliance.",
+    physics="Tension, wear and temperature change a belt's stiffness.",
     equation="k → k (1 + r)",
     parameters=(
         amplitude(
@@ -52,7 +52,6 @@ BELT_STIFFNESS = _drive(
         "belt_position_stiffness": "Two heights: only there the shift depends on the carriage's height.",
         "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
         "coulomb_friction": "Two amplitudes: a stiffness is the same for both.",
-        "belt_hardening": "Two amplitudes: a constant stiffness is the same for both.",
     },
     fold=_with_belts,
     of_axis=(AT_DRIVE,),
@@ -68,7 +67,7 @@ BELT_STIFFNESS = _drive(
 
 BELT_DAMPING = _drive(
     name="belt_damping",
-    title="Damping in belts or drive, not to the ground",
+    title="Damping in the drive",
     kind="parameter",
     physics=(
         "Part of an axis' damping is in its belts, between motor and carriage, and not in the guides, between carriage "
@@ -134,7 +133,7 @@ def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray)
 
 BELT_HARDENING = _drive(
     name="belt_hardening",
-    title="Belts or couplings that stiffen or soften as they stretch",
+    title="A drive that stiffens or softens as it stretches",
     kind="force",
     physics="Teeth settle and fibres straighten, so the belt's force is not quite proportional to its stretch.",
     equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
@@ -158,7 +157,6 @@ BELT_HARDENING = _drive(
     confounded_with={
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
-        "pendulum_gravity": "The drive switched off: gravity stays, a softening drive does not.",
     },
     of_axis=(AT_DRIVE,),
     of=ANY,
@@ -178,7 +176,7 @@ def _play_terms(values: Values, printer: Terms) -> Terms:
 
 BELT_BACKLASH = _drive(
     name="belt_backlash",
-    title="Backlash in belts, drive or coupling",
+    title="Backlash in the drive",
     kind="force",
     physics="A loose pulley, gear, key or joint moves freely through a dead band; spring and damper act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
@@ -262,7 +260,7 @@ PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitche
 
 COGGING = _drive(
     name="cogging",
-    title="Motor ripple once per cycle of its steps",
+    title="Motor ripple once per cycle",
     kind="command",
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
@@ -313,7 +311,7 @@ COMMAND_DELAY = _drive(
     law_of="lateness",
     title="A delay between command and motor",
     kind="command",
-    physics="Electronics, filters, buses and step pulses take time, so the motor executes the command late.",
+    physics="Electronics, filters and step pulses take time, so the motor executes the command late.",
     equation="u_d(t) → u_d(t − τ)",
     parameters=(
         amplitude(
@@ -324,8 +322,6 @@ COMMAND_DELAY = _drive(
     confounded_with={
         "guide_damping": "Several speeds and frequencies: damping lowers the resonance, a delay does not.",
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
-        "belt_damping": "Tones above the resonance: there a delay keeps turning the phase, damping does so once.",
-        "sensor_lag": "Two sensors of one motion: a late drive is late in both.",
     },
     of=ANY,
     terms=lambda values, printer: {"delay": values["delay_s"] + printer.get("delay", 0.0)},

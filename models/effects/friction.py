@@ -51,7 +51,7 @@ GUIDE_DAMPING = Effect(
     title="More viscous friction",
     family="viscous friction",
     kind="parameter",
-    physics="Grease and seals shear in guides and bearings: a force proportional to speed.",
+    physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
     parameters=(
         amplitude(
@@ -69,7 +69,6 @@ GUIDE_DAMPING = Effect(
     confounded_with={
         "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
-        "quadratic_drag": "Two speeds: viscous friction is proportional to speed.",
         "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",
     },
     fold=lambda machine, v: replace(machine, vibration=machine.vibration.with_guide_damping(v["added_n_s_per_m"])),
@@ -105,7 +104,7 @@ COULOMB_FRICTION = Effect(
     family="dry friction",
     law_of="dry friction",
     kind="force",
-    physics="Guides, bearings, seals and gears resist with the same force at every speed, and lock at rest.",
+    physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
         amplitude(
@@ -125,7 +124,6 @@ COULOMB_FRICTION = Effect(
         "stribeck_friction": "Slow moves: only Stribeck friction falls with speed.",
         "guide_damping": "Two speeds: viscous friction grows with speed, dry friction does not.",
         "belt_backlash": "Backlash needs the drive's force to change sign, friction the speed.",
-        "friction_by_load": "Two loads at one speed: dry friction is the same for both.",
         "joint_friction": "One tower at a time near the centre: the effector moves, two carriages rest.",
     },
     of=("carriages", "axes", "axis"),
