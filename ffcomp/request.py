@@ -41,7 +41,7 @@ from typing import (
     get_type_hints,
 )
 
-from ffcomp.errors import RequestError
+from ffcomp.errors import INPUT_ERRORS, RequestError, explain
 
 if TYPE_CHECKING:
     from models.machine import Machine
@@ -253,6 +253,12 @@ class Request:
     def check(self) -> None:
         """Raise RequestError where options do not go together."""
 
+    def unused(self, why: str, *fields: str) -> None:
+        """Raise RequestError where one of these options is given, which nothing would use."""
+        for each in declared(type(self)):
+            if each.field in fields and (value := getattr(self, each.field)) != each.default:
+                raise RequestError(f"{each.word(value).partition('=')[0]} {why}.")
+
 
 def declared(request: type[Any]) -> tuple[Declared, ...]:
     """Return the options of a request: in the order of its fields, those that may stand without a name first."""
@@ -330,7 +336,11 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
             signature.bind(*args, **kwargs)
         except TypeError as error:
             raise TypeError(f"{name}(): {error}") from None
-        return work(request(*args, **kwargs))
+        try:
+            return work(request(*args, **kwargs))
+        except INPUT_ERRORS as error:
+            error.exit_code = explain(error)[1]  # type: ignore[union-attr]  # of files that are missing, too
+            raise
 
     call.__name__ = call.__qualname__ = name
     call.__module__, call.__signature__ = work.__module__, signature  # type: ignore[attr-defined]
@@ -349,7 +359,8 @@ def _docstring(text: str, signature: inspect.Signature, words: Mapping[str, str]
     rows = []
     for name, parameter in signature.parameters.items():
         default = "" if parameter.default is parameter.empty else f", default {_short(parameter.default)}"
-        said = re.sub(r"--[a-z][\w-]+", lambda match: match[0][2:].replace("-", "_"), words[name])
+        said = re.sub(r"--no-([a-z][\w-]+)", r"--\1=False", words[name])
+        said = re.sub(r"--[a-z][\w-]+", lambda match: match[0][2:].replace("-", "_"), said)
         rows += [f"{name} : {_plain(parameter.annotation)}{default}", f"    {said}"]
     returned = signature.return_annotation
     what = inspect.cleandoc(returned.__doc__ or "").partition("\n\n")[0].replace("\n", " ")

@@ -143,8 +143,9 @@ def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
     """Restore the original lines, without stamps; UnsupportedGcode if the file does not contain its original."""
-    inside, time = False, None
+    inside, time, stamps = False, None, 0
     for line in lines:
+        stamps += line.startswith(STAMPS[0])
         if line.startswith(WITHOUT_ORIGINAL):
             raise UnsupportedGcode(NOT_HELD)
         if line.startswith(TIME_WAS):
@@ -158,6 +159,8 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
         elif not line.startswith(STAMPS) and not (inside and line.startswith(b"G1 ")):
             yield line if time is None else with_time(line, time)
             time = None
+    if stamps == 1:  # of two, the first and the last line of ours
+        raise UnsupportedGcode("The compensated file is cut short: the stamp at one end is missing. Copy it again.")
 
 
 def noted(line: bytes) -> bytes | None:

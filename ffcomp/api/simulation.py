@@ -30,11 +30,12 @@ def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine
 def _placement(request: SimulateRequest, machine: Machine) -> Placement:
     """Choose the position of a sliced print; compensated prints and step timings contain theirs."""
     path = Path(request.file)
-    if request.offset_mm is not None:
-        return Placement(request.offset_mm, "")
     check_regular(path)
     if is_step_archive(path) or already_processed(data := read_bytes(path, request.plate)) is not None:
+        request.unused(f"is for sliced prints; {path} states its own", "offset_mm")
         return Placement(NOWHERE, "")
+    if request.offset_mm is not None:
+        return Placement(request.offset_mm, "")
     return place_print(data, str(path), machine, request.flavor)
 
 

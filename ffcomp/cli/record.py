@@ -44,6 +44,8 @@ def join(request: JoinRequest) -> Result:
     from gcode.atomic_write import replace_atomically
     from models.file import load_machine
 
+    if request.output_dir.resolve() in {path.resolve().parent for path in request.captures}:
+        raise RequestError(f"{request.output_dir}: the captures are there; give another --output-dir.")
     machine = load_machine(request.machine)
     plan = plan_of(request.plan, machine)
     turn = turn_of(request.axes_map)

@@ -42,7 +42,9 @@ class CapturesRequest(Request):
 
     def check(self) -> None:
         """Check that captures have a plan."""
-        if self.as_captures is not None and self.plan is None:
+        if self.as_captures is None:
+            self.unused("is for --as-captures", "plan", "noise", "tilt_deg", "seed")
+        elif self.plan is None:
             raise RequestError("--as-captures needs the plan of the G-code: --plan FILE.json.")
 
 

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.request import CompensateOptions, CompensateRequest
+from ffcomp.compensation.request import ENDINGS, CompensateOptions, CompensateRequest
 from ffcomp.compensation.result import DIED, FileResult, attempt, failure_of
 from ffcomp.errors import FfcompError, RequestError
 from ffcomp.integrations.slicer import Bed
@@ -83,26 +83,16 @@ def compensate_files(
     return outcomes()
 
 
-def targets_in(folder: Path, files: Sequence[Path]) -> list[Path]:
-    """Where files go that keep their names; never over the files themselves."""
-    targets = [folder / file.name for file in files]
-    for file, target in zip(files, targets, strict=True):
-        if _same(target) == _same(file):
-            raise RequestError(f"{file}: this file is in {folder} itself, and would be overwritten.")
-    check_targets(files, targets)
-    return targets
-
-
 def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | list[None]:
     """Choose the target of each file: step timings never replace G-code.
 
     in_place : whether files are changed where no output is named
     """
     files, folder = list(request.paths), None if request.output_dir is None else Path(request.output_dir)
-    targets = files if folder is None else targets_in(folder, files)
+    targets = files if folder is None else [folder / file.name for file in files]
     if request.kind != "gcode":
-        targets = [target.with_suffix(".ffm" if request.kind == "host" else ".npz") for target in targets]
-    check_targets(files, targets)
+        targets = [target.with_suffix(ENDINGS[request.kind]) for target in targets]
+    check_targets(files, targets, in_place=folder is None)
     if request.dry_run or (folder is None and request.output is None and not in_place):
         return [None] * len(files)
     if folder is not None:
@@ -110,8 +100,8 @@ def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | li
     return [Path(request.output)] if request.output is not None else targets
 
 
-def check_targets(files: Sequence[Path], targets: Sequence[Path | None]) -> None:
-    """No two files go to one place, and none to where another one is read."""
+def check_targets(files: Sequence[Path], targets: Sequence[Path | None], *, in_place: bool = True) -> None:
+    """No two files go to one place, and none to where one is read: another one, or itself if not in place."""
     inputs = {_same(file): file for file in files}
     taken: dict[object, Path] = {}
     for file, target in zip(files, targets, strict=True):
@@ -120,8 +110,8 @@ def check_targets(files: Sequence[Path], targets: Sequence[Path | None]) -> None
         place = _same(target)
         if place in taken:
             raise RequestError(f"{taken[place]} and {file} would both be written to {target}.")
-        if place in inputs and place != _same(file):
-            raise RequestError(f"{file} would be written over {inputs[place]}, which is read as well.")
+        if place in inputs and not (in_place and place == _same(file)):
+            raise RequestError(f"{file}: {inputs[place]}, which is read as well, would be overwritten.")
         taken[place] = file
 
 

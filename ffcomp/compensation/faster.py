@@ -70,12 +70,12 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[Plann
             f"line {program.line_of(0)}: the motion from here on does not rest, and too little of it lies between "
             "cuts; it keeps the slicer's speed, and its error is not bounded."
         )
-        as_sliced = Faster(seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (kept,), bound.loosest_um)
+        as_sliced = Faster(seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (kept,), max(bound.all_um))
         return plan_program(program, machine), as_sliced
     planned = plan_program(quick, machine)
     now = _by_feature(program, planned.trajectory, chunk.feature)
     times = seconds, now, quicker.actuator_limit_s, quicker.limited_by
-    return replace(planned, firmware_s=slicers.end_t), Faster(*times, warnings, bound.loosest_um)
+    return replace(planned, firmware_s=slicers.end_t), Faster(*times, warnings, max(bound.all_um))
 
 
 def _by_feature(program: Program, plan: Trajectory, feature: str) -> dict[str, float]:

@@ -187,7 +187,7 @@ class Job:
                 writer=WriterSettings(embed=request.embed),
             )
         if bound is not None:
-            joined_um, writer = MERGED_SHARE * bound.tightest_um, settings.writer
+            joined_um, writer = MERGED_SHARE * min(bound.all_um), settings.writer
             merge_um, along_um = min(writer.merge_um, joined_um), min(writer.merge_along_um, 3.0 * joined_um)
             writer = replace(writer, merge_um=merge_um, merge_along_um=along_um)
             return replace(settings, robust=True, writer=writer), BOUNDED
@@ -360,7 +360,10 @@ class Lines:
                 done = begun + output.done
                 self._progress(min(done / max(job.size, 1), 1.0))
             self.statistics += of_chunk
-        self.statistics, self.size = self.statistics + Statistics(warnings=reach.warnings), FileSize(int(done))
+        faster, said = self.statistics.faster, reach.warnings
+        if job.bound is not None and faster is not None:
+            said = (*said, *job.bound.unknown_features(faster.original_s))
+        self.statistics, self.size = self.statistics + Statistics(warnings=said), FileSize(int(done))
 
 
 def _rendered(chunk: Chunk, context: Context, steps: StepStream | None = None) -> Iterator[Output]:

@@ -37,14 +37,18 @@ from ffcomp.request import (
 )
 
 Kind = Literal["gcode", "steps", "klipper-steps", "host"]
+ENDINGS: Mapping[Kind, str] = {"steps": ".npz", "klipper-steps": ".npz", "host": ".ffm"}
+_QUICKER = ("max_flow_mm3_per_s", "max_speed_mm_per_s", "min_layer_time_s", "keep_speed", "change_speed", "safety")
 MACHINE_TO_PRINT_ON = replace(MACHINE_NAME, env="FFCOMP_MACHINE")
 
 
 def parse_errors(texts: Sequence[str]) -> float | dict[str, float]:
     """Read bounds of the contour error: a number of µm for all lines, `Feature=number` for one kind of line."""
-    errors = {}
+    errors = dict[str, float]()
     for text in texts:
         feature, _, number = text.rpartition("=")
+        if feature.strip() in errors:
+            raise RequestError(f"--max-error-um {text}: it is given twice.")
         try:
             errors[feature.strip()] = float(number)
         except ValueError:
@@ -159,11 +163,11 @@ class CompensateOptions(Request):
 
     def check(self) -> None:
         """Check options that depend on each other."""
-        limits = (self.max_flow_mm3_per_s, self.max_speed_mm_per_s, self.min_layer_time_s)
         if not self.errors_um:
-            if limits != (None, None, None) or self.keep_speed or self.change_speed:
-                raise RequestError("A quicker print needs the error that it may have: --max-error-um UM.")
+            self.unused("needs the error that a quicker print may have: --max-error-um UM", *_QUICKER)
             return
+        if both := {each.lower() for each in self.keep_speed} & {each.lower() for each in self.change_speed}:
+            raise RequestError(f"--keep-speed and --change-speed both name {min(both)!r}.")
         for um in self.errors_um.values():
             if not 0.1 <= um <= 10_000.0:
                 raise RequestError(f"--max-error-um {um:g}: it is a number of µm from 0.1 to 10000.")
@@ -204,5 +208,12 @@ class CompensateRequest(CompensateOptions):
     def check(self) -> None:
         """Check options that depend on each other."""
         super().check()
-        if self.output is not None and (len(self.paths) > 1 or self.output_dir is not None):
-            raise RequestError("-o is for one file; several go into a folder with --output-dir DIR.")
+        if self.output is None:
+            return
+        if self.output_dir is not None:
+            raise RequestError("-o names a file and --output-dir a folder: give one of them.")
+        if len(self.paths) > 1:
+            raise RequestError("-o is for one file: give --output-dir DIR, or in Python call compensate() for each.")
+        ending = ENDINGS.get(self.kind, "")
+        if not str(self.output).endswith(ending):
+            raise RequestError(f"-o {self.output}: --kind {self.kind} writes a file that ends in {ending}.")

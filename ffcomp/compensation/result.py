@@ -432,7 +432,8 @@ def faster_line(quicker: QuickerPrint) -> str:
 def already_compensated(path: str, stamps: Iterable[Stamp | None], output: Path) -> CompensatedFile:
     """Return the result of a file that is compensated already; `output` is the file itself, or a copy of it."""
     by = " and ".join(dict.fromkeys(f"ffcomp v{stamp.version} for {stamp.machine}" for stamp in stamps if stamp))
-    return CompensatedFile(path, output, already=f"{path}: already processed by {by}; nothing changed.")
+    done = "nothing changed" if str(output) == path else "copied unchanged"
+    return CompensatedFile(path, output, already=f"{path}: already processed by {by}; {done}.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,14 +38,9 @@ class Bound:
     safety: float = 0.05  # share of printers within the machine file's uncertainty that may exceed the bound
 
     @property
-    def tightest_um(self) -> float:
-        """The smallest error that any feature may have."""
-        return min([self.max_error_um, *(um for _, um in self.of_features_um)])
-
-    @property
-    def loosest_um(self) -> float:
-        """The largest error that any feature may have."""
-        return max([self.max_error_um, *(um for _, um in self.of_features_um)])
+    def all_um(self) -> list[float]:
+        """The errors that features may have."""
+        return [self.max_error_um, *(um for _, um in self.of_features_um)]
 
     def errors_mm(self, labels: Labels) -> FloatArray:
         """Return each move's own bound, (n,) mm."""
@@ -61,6 +56,14 @@ class Bound:
             for name in map(str.lower, labels.features)
         ]
         return np.asarray(by_feature)[labels.feature]
+
+    def unknown_features(self, features: Iterable[str]) -> tuple[str, ...]:
+        """Warn of names that are none of the print's kinds of lines."""
+        named = {*self.keep_speed, *self.change_speed, *(name for name, _ in self.of_features_um)}
+        known = {FIRST_LAYER, *(name.lower() for name in features)}
+        unknown = sorted(name for name in named if name.lower() not in known)
+        rule = f"the print has {', '.join(filter(None, features)) or 'none that is named'}"
+        return (f"No line is of the kind {', '.join(unknown)}: {rule}.",) if unknown else ()
 
     @property
     def keeps_first_layer(self) -> bool:

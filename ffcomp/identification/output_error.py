@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ffcomp.errors import SolverError
+from ffcomp.errors import RequestError, SolverError
 from ffcomp.identification.axis_spectra import observed_response
 from ffcomp.identification.predict import predicted
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
@@ -184,8 +184,8 @@ class _Problem(EstimationProblem):
         has_drive = delta_vibration(start).carriage.drive is not None
         self.names = tuple(name for name in fitted if has_drive or name not in DRIVE)
         if unknown := sorted(set(known) - {*self.names, TOTAL_MASS}):
-            raise SolverError(
-                f"{unknown[0]!r} is no parameter of this fit; known are {', '.join(self.names)}, {TOTAL_MASS}."
+            raise RequestError(
+                f"--known {unknown[0]}: this fit has no such parameter, but {', '.join(self.names)}, {TOTAL_MASS}."
             )
         self.clocks = tuple(sorted({r.clock for r in responses} - {""}))
         self.captures = of_one_capture(responses)  # (g, 3) the responses of one accelerometer along x, y, z

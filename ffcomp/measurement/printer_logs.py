@@ -114,8 +114,6 @@ def _objects(path: str | Path) -> Iterator[dict[str, Any]]:
     unpack, rest = zlib.decompressobj(wbits=31), b""
     try:
         text = unpack.decompress(Path(path).read_bytes())
-    except OSError as error:
-        raise MeasurementError(str(path), [f"The file cannot be read: {error.strerror}."]) from error
     except zlib.error as error:
         raise MeasurementError(str(path), [f"It cannot be unpacked ({error}). Copy the file again."]) from error
     for rest in text.split(b"\x03"):

@@ -41,11 +41,8 @@ class Table:
 
 
 def read_text(path: str | Path) -> str:
-    """Read a measurement file, compressed (.gz) or not, as text; MeasurementError if it is missing, empty, no text."""
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise MeasurementError(str(path), [f"The file cannot be read: {error.strerror}."]) from error
+    """Read a measurement file, compressed (.gz) or not, as text; MeasurementError if it is empty, or no text."""
+    content = Path(path).read_bytes()
     if not content.strip():
         raise MeasurementError(str(path), ["The file is empty."])
     if content.startswith(_GZIP):

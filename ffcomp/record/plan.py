@@ -277,8 +277,6 @@ def load_plan(path: str | Path) -> Plan:
         if read["schema"] != SCHEMA:
             raise MeasurementError(str(path), [f"The schema is {read['schema']!r}; {SCHEMA!r} is needed."])
         return _plan(read)
-    except OSError as error:
-        raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise MeasurementError(
             str(path), [f"This is not JSON: {error}. Give the .json file next to the G-code."]

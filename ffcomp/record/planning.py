@@ -162,6 +162,8 @@ def plan_recording(request: PlanRequest) -> PlanResult:
 
     Raises RequestError for options that contradict each other, LimitsError for motion that the machine cannot execute.
     """
+    if request.plan_file.exists() and not request.force:  # captures of it may exist, which nothing else explains
+        raise RequestError(f"{request.plan_file} exists already; give another -o, or --force.")
     machine = load_machine(request.machine)
     flavor = request.flavor or machine.flavor or KLIPPER
     recorder = Recorder(flavor, request.chip or None, shaper_commands(flavor, machine.input_shaper))

@@ -129,6 +129,7 @@ def _first_move(experiment: Experiment, program: Program) -> int:
 TOGGLE = re.compile(rb"^[ \t]*(ACCELEROMETER_MEASURE\b|M956\b)[^\r\n]*", re.IGNORECASE | re.MULTILINE)
 MARK = b"M400 ;capture "  # which waits as these commands do, and is known to a reader
 NAMED = re.compile(rb'(?:\bNAME=|\bF")"?([^"\s;]+?)(?:\.csv)?(?:["\s;]|$)', re.IGNORECASE)
+OF_PLAN = re.compile(rb'(?:NAME=|F")ffcomp-(?!print-)')  # captures of moves that are no print's
 LEAST_REST_S = 0.2
 
 
@@ -137,12 +138,11 @@ def plan_of(path: str | Path, machine: Machine) -> Plan:
 
     Raises MeasurementError for a file that is neither.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
+    data = Path(path).read_bytes()
     if Path(path).suffix.lower() == ".json" or data.lstrip()[:1] == b"{":
         return load_plan(path)
+    if OF_PLAN.search(data):  # by `record plan`, which knows what repeats what
+        return load_plan(Path(path).with_suffix(".json"))
     return plan_of_print(Path(path).name, data, machine)
 
 

@@ -201,6 +201,7 @@ class PlanRequest(Request):
     seed: Annotated[
         int | None, Option("Seed of the moves or the phases. Default: 1.", ADVANCED, metavar="N", low=0)
     ] = None
+    force: Annotated[bool, FORCE] = False
 
     @property
     def plan_file(self) -> Path:
@@ -210,10 +211,8 @@ class PlanRequest(Request):
     def check(self) -> None:
         """Raise RequestError where options do not go together."""
         for name in sorted(set().union(*_OPTIONS_OF.values()) - _OPTIONS_OF[self.purpose]):
-            if getattr(self, name) not in (None, ()):
-                purposes = " and ".join(purpose for purpose, names in _OPTIONS_OF.items() if name in names)
-                option = "--print" if name == "print_file" else f"--{name.replace('_', '-')}"
-                raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
+            purposes = " and ".join(purpose for purpose, names in _OPTIONS_OF.items() if name in names)
+            self.unused(f"is for --for {purposes}, not for --for {self.purpose}", name)
         if self.plan_file == self.output:
             raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
         words = (CENTRE, LINE_OF_ACTION) if self.purpose == "identify" else ()

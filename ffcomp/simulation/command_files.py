@@ -52,9 +52,9 @@ def read_gcode(
     Parameters
     ----------
     offset : (float, float), added to every position, mm; a compensated file states its own
-    flavor : "" for what the machine file says, or else the file
+    flavor : "" for what a compensated file says, the machine file, or else the file
     """
-    if (both := read_compensated(data, path, machine)) is not None:
+    if (both := read_compensated(data, path, machine, flavor)) is not None:
         plans, reference = (both.written.trajectory, both.original.trajectory), UNSHAPED if both.by_axis else ORIGINAL
         return _command(*plans, both.clock, machine, reference, both.by_axis), both.written.program
     firmware = known_to_the_firmware(machine)
@@ -72,13 +72,13 @@ class CompensatedPrint:
     by_axis: Sequence[Shaper] = ()  # of the firmware, where the file is the print as sliced
 
 
-def read_compensated(data: bytes, path: str, machine: Machine) -> CompensatedPrint | None:
-    """Read a compensated file with the original that its comments keep; None: it has no stamp."""
+def read_compensated(data: bytes, path: str, machine: Machine, flavor: str = "") -> CompensatedPrint | None:
+    """Read a compensated file with the original that its comments keep; None: it has no stamp. flavor : "": its own."""
     if (stamp := already_processed(data)) is None:
         return None
-    known, head = known_to_the_firmware(machine), data[:STAMP_REACH]
-    program = read_program(data, path, flavor=stamp.flavor, **known)
-    sliced = read_program(original(data), path, offset_mm=find_offset(head), flavor=stamp.flavor, **known)
+    known, head = {"flavor": flavor or stamp.flavor, **known_to_the_firmware(machine)}, data[:STAMP_REACH]
+    program = read_program(data, path, **known)
+    sliced = read_program(original(data), path, offset_mm=find_offset(head), **known)
     written, planned = (plan_program(within_reach(each, machine.kinematics), machine) for each in (program, sliced))
     if (shaper := find_shaper(head)) is not None:
         return CompensatedPrint(written, planned, reference_clock(planned.trajectory), Tuned(*shaper).by_axis())

@@ -26,6 +26,7 @@ FILES = {
     "nan.csv": b"frequency_hz,real,imag\n1,nan,0\n2,1,0\n",
     "columns.csv": b"frequency_hz,real\n1,1\n2,1\n",
     "run.csv": b"t_s,cmd_A_mm\n0,1\n",
+    "cut.gcode": b"; Processed by ffcomp v0.1.0, machine x sha256:00, flavor klipper\n" + SMALL,
     "text.csv": b"hello world\n1 2\n",
 }
 DELTA = "-m mp-delta-pro"
@@ -53,7 +54,7 @@ CASES = [
     (f"compare squares.gcode {DELTA} --layers 2:1", 2, "the last must not be"),
     (f"compare squares.gcode {DELTA} --layers a", 2, "10:20"),
     (f"compare squares.gcode {DELTA} --sample 0", 2, "above 0"),
-    (f"compare squares.gcode {DELTA} --sample ten", 2, "such as 10%"),
+    ("restore cut.gcode", 4, "The compensated file is cut short"),
     (f"compare squares.gcode {DELTA} --only mzw", 2, "mzw"),
     (f"compare squares.gcode {DELTA} --plant kossel", 5, "kinematics.arm_lengths_mm is 269"),
     ("identify fit empty -m kossel -o out.toml", 5, "empty"),
@@ -63,7 +64,8 @@ CASES = [
     ("identify fit text.csv -m kossel -o out.toml", 5, "first line must be"),
     ("record check text.csv -m ender-3", 2, "--plan"),
     (f"simulate a.gcode {DELTA} --rate nan", 2, "nan"),
-    (f"simulate a.gcode {DELTA} --rate 100000", 2, "100000"),
+    (f"simulate cut.gcode {DELTA} --offset-mm 1,1", 2, "--offset-mm is for sliced prints; cut.gcode states"),
+    (f"simulate cut.gcode {DELTA}", 4, "The compensated file is cut short"),
     (f"simulate a.gcode {DELTA} --from 2 --to 1", 2, "--from"),
     (f"simulate a.gcode {DELTA} --signals acc,vel", 2, "vel"),
     (f"simulate a.gcode {DELTA} --from 1e6", 3, "too few to simulate"),

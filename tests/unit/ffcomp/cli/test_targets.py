@@ -16,12 +16,16 @@ from tests.support.cli import CliRunner
         ("diagnose a.csv -m kossel -o a.csv", "a.csv is read as well; give another --output."),
         ("diagnose a.csv -m kossel -o old.toml", "old.toml exists already; give another --output, or --force."),
         ("diagnose a.csv -m kossel -o none/b.toml", "b.toml: --output names a file in a folder that exists."),
-        ("diagnose a.csv -m kossel -o .", "--output names a file in a folder that exists."),
+        ("record plan -m kossel -o p.gcode", "p.json exists already; give another -o, or --force."),
+        (
+            "record join a.csv --plan p.json -m kossel --output-dir .",
+            ".: the captures are there; give another --output-dir.",
+        ),
         ("diagnose a.csv -m kossel -o b.toml --trace b.toml", "b.toml is named twice; give another --"),
         ("gap a.csv -m kossel --report old.toml", "old.toml: --report writes a page; end its name in .html."),
         ("record join a.csv --plan p.json -m kossel --output-dir old.toml", "old.toml: --output-dir names a folder."),
         ("compensate a/x.gcode b/x.gcode -m kossel --output-dir c", "would both be written to c/x.gcode"),
-        ("compensate a/x.gcode b/x.gcode -m kossel --output-dir b", "is in b itself, and would be overwritten"),
+        ("compensate a/x.gcode b/x.gcode -m kossel --output-dir b", "b/x.gcode, which is read as well, would be"),
     ],
 )
 def test_a_target_is_refused_before_the_work(
