@@ -23,7 +23,7 @@ from ffcomp.diagnosis.fidelity import (
     continue_fit,
     excerpt_of,
     fit_in_excerpt,
-    hypothesis_in_whole,
+    fit_in_whole,
     linearised,
     parsimonious_fit,
 )
@@ -35,7 +35,7 @@ from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnosis.score_test import Screened, confounded_with, screen
-from ffcomp.diagnosis.search import Search, Selection, find_best, finish, on_all_data
+from ffcomp.diagnosis.search import Search, Selection, find_best, finish, shows_more
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import Estimate
@@ -171,8 +171,8 @@ def _spread(estimation: EstimationProblem) -> float:
 class _Searched:
     """The outcome of a search."""
 
-    best: Hypothesis  # on the data on which the others were tried
-    selection: Selection  # the best on all data, and all that were tried
+    best: Hypothesis  # fitted to all data
+    selection: Selection  # the best on the data on which all were tried, and the others
     screened: Sequence[Screened]
     estimation: EstimationProblem  # the data, on which the others were tried
     base: Fit  # of the machine's parameters alone, there
@@ -221,21 +221,25 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
         hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
         if small and not hint:
             return replace(none, screened=screened)
-        search = Search(estimation, base, screened, progress)
-        selection = find_best(search)
-        progress(Stage(6, "fitting what was found with exact derivatives"))
-        selection = finish(search, selection)
+        selection = _found(Search(estimation, base, screened, progress))
         searched = _Searched(selection.best, selection, screened, estimation, base)
-    none, best = replace(none, screened=searched.screened), searched.selection.best
+    none, best = replace(none, screened=searched.screened), searched.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, best)
     if retuned.discrepancy < least and not worth(estimation, best.fit, retuned, 0.0):
         return replace(none, base=retuned, final=retuned)
-    tested = _tested(none, searched, searched.selection.best, progress)
+    tested = _tested(none, searched, best, progress)
     if tested.rejections and not small:
         tested = _with_a_rest(none, searched, tested, progress)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
+
+
+def _found(search: Search) -> Selection:
+    """Search, and fit what was found with exact derivatives."""
+    selection = find_best(search)
+    search.progress(Stage(6, "fitting what was found with exact derivatives"))
+    return finish(search, selection)
 
 
 def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Searched | None:
@@ -248,15 +252,12 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
     begun = fit_in_excerpt(part, base)
     retuned = fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
     screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
-    selection = find_best(Search(part, retuned, screened, progress))
-    progress(Stage(6, "fitting what was found to all data"))
-    whole = Search(estimation, base, (), progress)
-    best = on_all_data(whole, selection)
-    if best is None:
+    selection = _found(Search(part, retuned, screened, progress))
+    best = fit_in_whole(estimation, selection.best, progress)
+    if shows_more(part, selection.best, estimation, best, base):
         progress("the whole recordings show more than the excerpt: the search starts again on all of them")
         return None
-    finished = replace(finish(whole, best), tried=selection.tried)
-    return _Searched(selection.best, finished, screened, part, retuned)
+    return _Searched(best, selection, screened, part, retuned)
 
 
 def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
@@ -280,8 +281,7 @@ def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progre
         return tested
     best = dominant.hypothesis
     if searched.estimation is not none.estimation:
-        whole = hypothesis_in_whole(none.estimation.problem, best)
-        best = continue_fit(none.estimation, whole, progress, ", on all data")
+        best = fit_in_whole(none.estimation, best, progress)
     alone = _tested(none, searched, best, progress)
     rejections = alone.rejections or tested.rejections
     return replace(alone, verdict="unknown", named=None, dominant=dominant, rejections=rejections)
@@ -298,7 +298,7 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     held_out = hold_out(estimation, none.base, best.fit)
     failed = tuple(rejections(estimation, none.base, best, held_out, wide))
     estimation.trace.add("accept", best.names, outcome="refused" if failed else "kept", reason="; ".join(failed))
-    there = searched.best
+    there = searched.selection.best
     if best.names != there.names:  # a smaller rival, or fewer effects
         there = next((h for h in likeliest(tried) if h.names == best.names), there)
     ranked = likeliest([there, *(h for h in tried if h.names != best.names)])

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffcomp.diagnosis.fit import SMALL_GAIN, EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis, log_fit, log_try
-from ffcomp.diagnosis.problem import Parameter, Problem
+from ffcomp.diagnosis.problem import Parameter
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 
@@ -167,14 +167,13 @@ def linearised(estimation: EstimationProblem, parameters: Sequence[Parameter], z
     return Fit(tuple(parameters), z, residual, jacobian, estimation.block_rows)
 
 
-def hypothesis_in_whole(problem: Problem, h: Hypothesis) -> Hypothesis:
-    """Give a hypothesis all of a problem's parameters; those that it lacked get the file's values.
-
-    Its residual and derivatives are then out of date.
-    """
+def fit_in_whole(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
+    """Fit to all data what was fitted to an excerpt; parameters that the excerpt lacked begin at the file's values."""
+    note = ", on all data"
+    log_try(h.effects, progress, note)
     fitted = {n.name: (n, float(z)) for n, z in zip(h.machine_parameters, h.fit.z, strict=False)}
-    machine = [fitted.get(n.name, (n, 0.0)) for n in problem.parameters]
+    machine = [fitted.get(n.name, (n, 0.0)) for n in estimation.problem.parameters]
     parameters = (*(n for n, _ in machine), *h.effect_parameters)
     z = np.array([*(x for _, x in machine), *h.effect_z])
-    unknown = np.zeros((len(h.fit.residual), len(z)))
-    return Hypothesis(h.effects, replace(h.fit, parameters=parameters, z=z, jacobian=unknown))
+    whole = fit(estimation, parameters, z, iterations=5, renew_all=False, exact=True)
+    return log_fit(estimation, Hypothesis(h.effects, whole, exact=True), progress, note)

@@ -18,7 +18,7 @@ from itertools import product
 
 import numpy as np
 
-from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly, hypothesis_in_whole
+from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.held_out import left_elsewhere
 from ffcomp.diagnosis.hypotheses import (
@@ -83,7 +83,6 @@ class Selection:
 
     best: Hypothesis
     tried: tuple[Hypothesis, ...]
-    left_nothing: bool = False  # the search ended because there was nothing left to explain
 
 
 def find_best(search: Search) -> Selection:
@@ -102,7 +101,7 @@ def find_best(search: Search) -> Selection:
         if not beam or not _gains(search, beam[0], best):
             break
         best = beam[0]
-    return Selection(best, tuple(tried), left_nothing=not leaves_excess(search.estimation, best.fit))
+    return Selection(best, tuple(tried))
 
 
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
@@ -446,21 +445,14 @@ def _numbers(h: Hypothesis) -> frozenset[str]:
     return frozenset(n.name for n in h.effect_parameters)
 
 
-def on_all_data(search: Search, selection: Selection) -> Selection | None:
-    """Fit to all data what an excerpt selected; None if that leaves something that the excerpt did not show."""
+def shows_more(part: EstimationProblem, h: Hypothesis, whole: EstimationProblem, there: Hypothesis, base: Fit) -> bool:
+    """Tell whether all data ask for another effect where an excerpt asked for none.
 
-    def on_all(h: Hypothesis) -> Hypothesis:
-        whole = hypothesis_in_whole(search.estimation.problem, h)
-        return continue_fit(search.estimation, whole, search.progress, ", on all data")
-
-    best = on_all(selection.best)
-    trace = search.settings.trace * search.retuned.discrepancy
-    tolerant = replace(search.estimation, tolerance=max(search.estimation.tolerance, trace))
-    if (
-        selection.left_nothing
-        and leaves_excess(tolerant, best.fit)
-        and len(best.effects) < search.settings.most_effects
-    ):
-        return None
-    near = [on_all(h) for h in rivals(search, selection.best, selection)[:1]]
-    return Selection(best, (best, *near))
+    Parameters
+    ----------
+    h, there : the best hypothesis, as fitted to the excerpt and to all data.
+    base : the machine's parameters alone, on all data.
+    """
+    enough = len(h.effects) == part.settings.most_effects or leaves_excess(part, h.fit)
+    tolerant = replace(whole, tolerance=max(whole.tolerance, part.settings.trace * base.discrepancy))
+    return not enough and leaves_excess(tolerant, there.fit)
