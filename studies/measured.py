@@ -1,4 +1,4 @@
-"""Six measured systems whose answer is published, diagnosed from their own recordings: studies/reports/measured.md.
+"""Eight measured systems whose answer is published, diagnosed from their own recordings: studies/reports/measured.md.
 
     python -m studies.measured [NAME ...] [--keep FOLDER]     some 3 min of CPU
 
@@ -37,7 +37,7 @@ class System:
 
     name: str
     what: str
-    axis: str  # of its machine file: tables from [axis] on
+    axis: str  # of its machine file: tables from [axis] on; "": its file is beside the recordings
     published: str
     expected: tuple[str, ...]  # effects any of which is the dominant one
     column: str = "torque_n_m"  # that `force_n` of its recordings is
@@ -155,6 +155,20 @@ torque_n_m = 0.4805
         "dry friction 0.0070 N m; least squares 0.0081",
         ("coulomb_friction", "stribeck_friction", "bristle_friction"),
     ),
+    System(
+        "pendulum_torque",
+        "pendulum that its drive swings up",
+        "",
+        "gravity 3.31 N m; least squares 3.80",
+        ("pendulum_gravity",),
+    ),
+    System(
+        "pendulum_wide",
+        "pendulum that swings out from 1.6 rad",
+        "",
+        "viscous friction alone; least squares: drag 7.3e-6 N m s²/rad² and viscous 0.000127 of 0.000224 N m s/rad",
+        ("quadratic_drag",),
+    ),
 )
 
 
@@ -187,7 +201,8 @@ def measured(system: System, data: Path, folder: Path) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     before, after = folder / "machine.toml", folder / "better.toml"
     head = f'format = "ffcomp-machine/1"\nname = "{system.name}"\n\n[kinematics]\ntype = "axis"\n\n[axis]\nunit = "rad"'
-    before.write_text(head + system.axis, encoding="utf-8")
+    text = head + system.axis if system.axis else (data / "machine.toml").read_text(encoding="utf-8")
+    before.write_text(text, encoding="utf-8")
     load_plant(before)
     fit, test = (recordings(data, kind, folder, system.column) for kind in ("fit", "test"))
     words = ["diagnose", *map(str, fit), "-m", str(before), "--without-repeats", "-o", str(after), "--json"]
