@@ -55,7 +55,7 @@ Q = TypeVar("Q")
 R = TypeVar("R")
 
 OUTPUT, MACHINE, ACCURACY, SPEED, ADVANCED = "Output", "Machine and bed", "Accuracy", "Speed", "Advanced"
-FASTER, REACH = "A quicker print", "Who reaches it"
+FASTER, REACH = "A quicker print", "Who can reach it"
 GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order of the help
 
 

@@ -32,7 +32,7 @@ UNREADABLE = "?"  # `ffcomp machines check` says why
 
 @verb
 def list_machines() -> Result:
-    """List the machines that have a name: deltas, CoreXY machines, cartesian ones."""
+    """List the machines of the library and your own: deltas, CoreXY and cartesian printers."""
     from models.finding import named_machines
 
     return MachineList(named_machines())

@@ -15,9 +15,9 @@ def plan(request: PlanRequest) -> Result:
 
     For diagnose, at most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several
     places, each made twice. For identify, a periodic excitation of each carriage or axis by itself. For check, half a
-    minute in the middle of the bed. The capture commands are inside. For scan, no sensor is needed: a page to print, of
-    which ffcomp identify scan reads a picture. With --print, a print is recorded while it prints;
-    nothing is repeated then, and ffcomp diagnose needs --without-repeats.
+    minute in the middle of the bed. The G-code contains the capture commands. For scan, no sensor is needed: the
+    printer draws a page, and ffcomp identify scan reads a picture of it. With --print, a print is recorded while it
+    prints; nothing is repeated then, and ffcomp diagnose needs --without-repeats.
 
     Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
     """
@@ -30,10 +30,10 @@ def plan(request: PlanRequest) -> Result:
 def join(request: JoinRequest) -> Result:
     """Join captures with their commands: one measured run for each experiment and repeat.
 
-    Klipper's and Kalico's captures are on the clock of the motion already. Others are aligned with it below 20 Hz. What
-    cannot be joined is named with its reason; exit code 5 if nothing could be. The plan may be a print, compensated or
-    not, with the commands of the captures in it: from ffcomp record plan --print, or from your slicer between layers
-    (ACCELEROMETER_MEASURE, or M956, and a rest of 0.2 s or more inside, before and after the moves).
+    Klipper's and Kalico's captures share the clock of the motion. Others are aligned with the motion below 20 Hz.
+    Captures that cannot be joined are listed with the reason; if none can, the exit code is 5. The plan may be a print,
+    compensated or not, that contains the capture commands: from ffcomp record plan --print, or from your slicer between
+    layers (ACCELEROMETER_MEASURE, or M956; each capture begins and ends with a rest of 0.2 s or more).
 
     Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml --output-dir runs/
     """
@@ -103,8 +103,8 @@ record = group(
     "record",
     """Record the printer's vibrations with its own accelerometer.
 
-    First ffcomp record plan, then run its G-code, then give the captures to ffcomp diagnose with --plan; or keep them
-    as measured runs with ffcomp record join.
+    Write the G-code with ffcomp record plan and run it. Then give the captures to ffcomp diagnose with --plan, or turn
+    them into measured runs with ffcomp record join.
     """,
     plan,
     join,

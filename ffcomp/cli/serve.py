@@ -55,7 +55,7 @@ def serve(request: ServeRequest) -> None:
     """Serve a web page on this computer where you drop prints.
 
     The page compensates and compares prints, imports machines, plans measurements and diagnoses captures. Nothing
-    leaves this computer. End it with Ctrl-C; waiting jobs continue after the next start.
+    leaves this computer. Stop it with Ctrl-C; waiting jobs continue after the next start.
 
     Example: ffcomp serve --open
     """

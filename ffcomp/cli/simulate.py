@@ -54,8 +54,8 @@ def simulate(request: SimulateRequest, captures: CapturesRequest) -> Result:
 
     The printer has full kinematics, weight, drives, extruder and effects. ffcomp plans G-code as the firmware does
     and executes step timings microstep by microstep. It evaluates the response against the reference path, and writes
-    it as a recording on request. With --as-captures it writes instead what an accelerometer would: gravity, noise,
-    tilt and a clock of its own included; --rate is then the chip's.
+    it as a recording on request. With --as-captures it writes the captures of an accelerometer instead, with gravity,
+    noise, tilt and a clock error; --rate is then the accelerometer's.
 
     Example: ffcomp simulate sample_prints/ringing_tower.gcode -m mp-delta-pro --from 80 --to 90 -o run.csv
     """

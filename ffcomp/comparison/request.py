@@ -51,7 +51,7 @@ class CompareRequest(Request):
     sample: Annotated[
         float | None,
         Option(
-            "Evaluate this share of the time, in slices that stand for it, e.g. 5%. Default: 2 minutes at most.",
+            "Evaluate this share of the time, in evenly spread slices, e.g. 5%. Default: 2 minutes at most.",
             SPEED,
             metavar="SHARE",
             parse=parse_share,
@@ -70,7 +70,7 @@ class CompareRequest(Request):
     only: Annotated[
         tuple[str, ...],
         Option(
-            "Evaluate none, ffcomp and only these methods, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
+            "Evaluate only these methods, besides none and ffcomp: mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
             "2hump_ei, 3hump_ei, and, compared only when named, zvdd, zvddd (Marlin), smooth_zv, smooth_mzv, "
             "smooth_ei, smooth_2hump_ei, smooth_zvd_ei, smooth_si (Kalico's other branches); each also with "
             "-z (z shaped too), and each of these with -calibrated; fbs-lti, fbs-robust; all.",

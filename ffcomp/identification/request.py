@@ -146,7 +146,7 @@ class RingingRequest(Request):
     x_hz: Annotated[
         float | None,
         Option(
-            "Frequency along x: wall speed × number of waves ÷ distance they span. Of a delta's centre: any.",
+            "Frequency along x: wall speed × number of waves ÷ distance they span. Delta: any wall near the centre.",
             MACHINE,
             "--x-hz",
             metavar="HZ",
