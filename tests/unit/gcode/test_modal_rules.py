@@ -7,9 +7,11 @@ Bambu's own.
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from gcode.errors import UnsupportedGcode
+from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.program import Program
 from gcode.reader import read_program
 
@@ -59,6 +61,15 @@ RULES: list[tuple[str, tuple[str, ...], str, tuple[float | None, ...]]] = [
     ("RESTORE with MOVE goes back", (KLIPPER,), "SAVE_GCODE_STATE NAME=a\nG1 X15 Z9 F600\n"
      "RESTORE_GCODE_STATE NAME=a MOVE=1\nG91\nG1 Y1", (10, 21, 5, 0)),
     ("SET_GCODE_OFFSET shifts later numbers", (KLIPPER,), "SET_GCODE_OFFSET Z=0.1\nG1 X11 Z5 F600", (11, 20, 5.1, 0)),
+    ("M84 S is a timeout, M84 E the extruder's", ALL, "G1 X11 F600\nM84 S5\nM84 E\nG91\nG1 X1", (12, 20, 5, 0)),
+    ("M84 forgets", ALL, "M84\nG1 X12 F600\nG1 X9 Y9 Z9\nG91\nG1 X1", (10, 9, 9, 0)),
+    ("M121 alone restores nothing", (DUET,), "G91\nM121\nG1 X1 F600", (11, 20, 5, 0)),
+    ("M221 without S", ALL, "M221\nG1 X11 E2 F600", (11, 20, 5, 2)),
+    ("G10 with a tool's offsets forgets", (DUET,), "G10 P0 X1\nG1 X12 F600\nG1 X9 Y9 Z9\nG1 X1", (1, 9, 9, 0)),
+    ("a tool from its dock does too", (MARLIN,), "P1\nG1 X12 F600\nG1 X9 Y9 Z9\nG1 X1", (1, 9, 9, 0)),
+    ("a status light does not", (KLIPPER,), "_STATUS_BUSY\nG91\nG1 X1 F600", (11, 20, 5, 0)),
+    ("RESTORE of what was never saved forgets", (KLIPPER,), "RESTORE_GCODE_STATE NAME=b\nG1 X1 F600\nG1 X9 Y9 Z9\n"
+     "G1 X1", (1, 9, 9, 0)),
     ("and moves if asked", (KLIPPER,), "SET_GCODE_OFFSET Z_ADJUST=0.1 MOVE=1\nG1 X11 F600", (11, 20, 5.1, 0)),
 ]  # fmt: skip
 
@@ -121,6 +132,22 @@ def test_how_long_a_command_waits(firmware: str, line: str, seconds: float) -> N
 def test_numbers_that_cannot_be_followed_are_refused(firmware: str, line: str) -> None:
     with pytest.raises(UnsupportedGcode, match=r"^2: .*not followed"):
         read(f"G1 X11 F600\n{line}\nG1 X12", firmware)
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        ("G4 P-5", "G4 waits -0.005 s; a wait cannot be negative."),
+        ("M220 S0", "M220 S0 is not a factor; a percentage must be above zero."),
+        ("M204 P-1 T5", "M204 sets a limit of -1; limits must be above zero."),
+        ("G1 X12 (one) F-1", "F-1 is not a speed; a feed must be above zero."),
+        ("G1 X10000000", "X1e+07 is out of range; numbers reach ±1,000,000."),
+        ("G2 I90000 F600", "The arc is 565487 mm long; arcs may be 100000 mm long at most."),
+    ],
+)
+def test_numbers_that_no_firmware_follows_are_refused(line: str, rule: str) -> None:
+    with pytest.raises(GcodeError, match=rf"^2: .*{re.escape(rule)}"):
+        read(f"G1 X11 F600\n{line}", KLIPPER)
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ffcomp.check.changes import Change, Difference, Explanation
+from ffcomp.check.compare import verdict
 from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
 from ffcomp.check.signals import SensorSignal
 from ffcomp.errors import MeasurementError
@@ -40,3 +43,28 @@ def test_a_damaged_history_is_refused_and_not_overwritten(damage: str, tmp_path:
     path.write_text(f"{first}\n{texts[damage]}\n", encoding="utf-8")
     with pytest.raises(MeasurementError, match="Line 2 of the history is no check of ffcomp"):
         read_history(path)
+
+
+CLEAN = Difference(0.2, 0.01, 9.0, 900.0, (), 0.0, 0.0, 0.0)
+BELT = Change("belts", "the belts are {size:.0f} % {way}", key=("carriage.mass_kg",), sd=0.1, low=-0.5, high=0.5)
+
+
+@pytest.mark.parametrize(
+    ("found", "axes", "finding", "words"),
+    [
+        (replace(CLEAN, times=1.0, size=0.01), AXES, "same", "As on 2026-11-15 20:00: it differs by 1.0%"),
+        (replace(CLEAN, times=1.0), "y,x,z", "sensor", "turned since 2026-11-15 20:00: the printer's axes were x,y,z"),
+        (replace(CLEAN, times=1.0, noise=0.3), AXES, "cannot_tell", "noise is 30% of the signal. Tighten"),
+        (replace(CLEAN, sensor_share=0.95, gain=-0.1), AXES, "sensor", "reads 10% less of the same motion"),
+        (replace(CLEAN, sensor_share=0.95, turned_deg=-5.0), AXES, "sensor", "is turned by 5° about the vertical"),
+        (replace(CLEAN, sensor_share=0.95), AXES, "unknown", "No single part explains it"),
+        (replace(CLEAN, explanations=(Explanation(BELT, -0.1, 0.01, 0.97),)), AXES, "changed", "explains 97% of it."),
+        (
+            replace(CLEAN, explanations=tuple(Explanation(BELT, size, 0.01, 0.97) for size in (-0.1, 0.1))),
+            *(AXES, "changed", "10 % lower, or the belts are 10 % higher: that explains 97% of it. The check cannot"),
+        ),
+    ],
+)
+def test_what_a_difference_means(found: Difference, axes: str, finding: str, words: str) -> None:
+    said = verdict(found, light("2026-11-15T20:00"), axes)
+    assert said.finding == finding and words in said.message, said

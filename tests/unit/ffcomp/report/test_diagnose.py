@@ -25,7 +25,7 @@ from ffcomp.report.diagnose import page_of
 from models.effects.catalogue import with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
-from tests.support.browser import chromium, visit
+from tests.support.browser import visit
 from tests.support.cli import CliRunner
 from tests.support.undrawn import save_nothing
 
@@ -197,9 +197,8 @@ def test_text_from_files_is_escaped(heavy: Case, monkeypatch: pytest.MonkeyPatch
     assert "alert(1)" in text and "<script" not in text
 
 
-def test_narrow_screens_need_no_sideways_scrolling(heavy: Case) -> None:
-    with chromium() as browser:
-        for width in (390, 1280):
-            with visit(browser, heavy.folder / "d.html", width) as seen:
-                assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
-                assert not seen.errors and not seen.requests
+def test_narrow_screens_need_no_sideways_scrolling(heavy: Case, browser: Any) -> None:
+    for width in (390, 1280):
+        with visit(browser, heavy.folder / "d.html", width) as seen:
+            assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+            assert not seen.errors and not seen.requests
