@@ -97,8 +97,8 @@ class CompensateOptions(Request):
     robust: Annotated[
         Literal["auto", "on", "off"],
         Option(
-            "Minimise the expected contour error over the machine file's uncertainties. auto: if its [uncertainty] is "
-            "large enough to gain from it; if the firmware's own shaper is expected to leave less, set that instead.",
+            "Minimise the expected contour error over the machine file's uncertainties. auto: if that gains anything; "
+            "if the firmware's own shaper leaves less, set that instead.",
             ACCURACY,
             metavar="WHEN",
             label="Robust to what the machine file does not know",

@@ -23,6 +23,7 @@ from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import plainly
 from tests.support.configs import STEPS
+from tests.support.klipper_host import EXTRUDER
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_moves
 
@@ -58,19 +59,7 @@ microsteps: 16
 rotation_distance: {turn}
 """
 ENDS = "endstop_pin: gpio{n}4\nposition_min: -650\nposition_max: 800\nposition_endstop: -650\n"
-HOST = """nozzle_diameter: 0.4
-filament_diameter: 1.75
-heater_pin: gpio44
-sensor_type: EPCOS 100K B57560G104F
-sensor_pin: analog0
-control: watermark
-min_temp: 0
-max_temp: 300
-min_extrude_temp: 0
-max_extrude_cross_section: 50
-[mcu]
-serial: /dev/null
-[force_move]
+HOST = """[force_move]
 enable_force_move: True
 [printer]
 kinematics: corexy
@@ -79,7 +68,7 @@ max_accel: 5000
 max_z_velocity: 20
 max_z_accel: 500
 """
-HOST = MOTOR.format(name="extruder", n=4, turn=22.6789) + HOST
+HOST = MOTOR.format(name="extruder", n=4, turn=22.6789) + EXTRUDER + HOST
 for n, axis in enumerate("xyz"):
     HOST += (MOTOR + ENDS).format(name=f"stepper_{axis}", n=n or "", turn=8 if axis == "z" else 40)
 

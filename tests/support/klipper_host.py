@@ -21,13 +21,7 @@ FOLDER = Path(__file__).parents[2] / "integrations" / "klipper"
 Place = tuple[float, float, float]
 E_STEPS_PER_MM = 415.0
 EXACT_S, HOSTS_OWN_S = 1e-9, 25e-6  # how much too early the host may send a step
-CONFIG = """\
-[extruder]
-step_pin: gpio41
-dir_pin: gpio42
-enable_pin: !gpio43
-microsteps: 16
-rotation_distance: {e_mm}
+EXTRUDER = """\
 nozzle_diameter: 0.4
 filament_diameter: 1.75
 heater_pin: gpio44
@@ -40,7 +34,15 @@ min_extrude_temp: 0
 max_extrude_cross_section: 50
 [mcu]
 serial: /dev/null
-max_stepper_error: {error_s:.9f}
+"""
+CONFIG = """\
+[extruder]
+step_pin: gpio41
+dir_pin: gpio42
+enable_pin: !gpio43
+microsteps: 16
+rotation_distance: {e_mm}
+{extruder}max_stepper_error: {error_s:.9f}
 [printer]
 kinematics: delta
 max_velocity: 300
@@ -127,7 +129,7 @@ def play(
 
 
 def _settings(folder: Path, error_s: float) -> str:
-    return CONFIG.format(e_mm=3200 / E_STEPS_PER_MM, error_s=error_s, folder=folder)
+    return CONFIG.format(extruder=EXTRUDER, e_mm=3200 / E_STEPS_PER_MM, error_s=error_s, folder=folder)
 
 
 def _towers() -> str:

@@ -11,23 +11,13 @@ from hypothesis import strategies as st
 from gcode.metadata import Durations, Tells, Timed, retold, slicer_time_s, stated_time, tells, with_time
 from tests.support.data import real
 
+NORMAL, SILENT = (b"; estimated printing time (%s mode) = " % mode for mode in (b"normal", b"silent"))
+MODEL, TOTAL = b"; model printing time: ", b"; total estimated time: "
 TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s
-    (
-        b"; estimated printing time (normal mode) = 1h 2m 3s\n",
-        3723,
-        b"; estimated printing time (normal mode) = 1d 2h 3m 5s\n",
-    ),
-    (
-        b"; estimated printing time (silent mode) = 13h 0m 30s\r\n",
-        46830,
-        b"; estimated printing time (silent mode) = 1d 2h 3m 5s\r\n",
-    ),
+    (NORMAL + b"1h 2m 3s\n", 3723, NORMAL + b"1d 2h 3m 5s\n"),
+    (SILENT + b"13h 0m 30s\r\n", 46830, SILENT + b"1d 2h 3m 5s\r\n"),
     (b"; estimated printing time = 1h 5m 24s\n", 3924, b"; estimated printing time = 1d 2h 3m 5s\n"),
-    (
-        b"; model printing time: 28m 4s; total estimated time: 34m 6s\n",
-        2046,
-        b"; model printing time: 1d 2h 3m 5s; total estimated time: 1d 2h 3m 5s\n",
-    ),
+    (MODEL + b"28m 4s" + TOTAL + b"34m 6s\n", 2046, MODEL + b"1d 2h 3m 5s" + TOTAL + b"1d 2h 3m 5s\n"),
     (b"; total estimated time: 34m 6s\n", 2046, b"; total estimated time: 1d 2h 3m 5s\n"),
     (b";TIME:2848\n", 2848, b";TIME:93785\n"),
     (b";   Build time: 1 hour 2 minutes\n", 3720, b";   Build time: 26 hours 3 minutes\n"),
@@ -46,16 +36,8 @@ def test_every_slicers_total(line: bytes, seconds: float, new: bytes) -> None:
 @pytest.mark.parametrize(
     ("line", "at_s", "new"),
     [
-        (
-            b"; model printing time: 14m 40s; total estimated time: 2h 4m 0s\n",
-            0.0,
-            b"; model printing time: 16m 40s; total estimated time: 2h 6m 0s\n",
-        ),
-        (
-            b"; estimated printing time (normal mode) = 2h 4m 0s\n",
-            0.0,
-            b"; estimated printing time (normal mode) = 2h 6m 0s\n",
-        ),
+        (MODEL + b"14m 40s" + TOTAL + b"2h 4m 0s\n", 0.0, MODEL + b"16m 40s" + TOTAL + b"2h 6m 0s\n"),
+        (NORMAL + b"2h 4m 0s\n", 0.0, NORMAL + b"2h 6m 0s\n"),
         (b"M73 P3 R124\n", 0.0, b"M73 P3 R126\n"),
         (b"M73 P60 R40 S41\n", 1800.0, b"M73 P60 R41 S42\n"),
         (b"M73 P60 R20\n", 1800.0, b"M73 P60 R30\n"),

@@ -108,14 +108,6 @@ def test_a_copy_is_no_repeat(plan: Plan, machine: Machine, captures: Sequence[Pa
     assert f"Its rows are those of {first.name}" in reasons(found)[0] and "--without-repeats" in reasons(found)[0]
 
 
-def test_numbers_that_gravity_denies_are_refused(
-    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
-) -> None:
-    found = join_captures([rewritten(captures[0], tmp_path, 0.5 * np.eye(3)), captures[1]], plan, machine)
-    assert len(found.joined) == 1
-    assert "its numbers are 0.5 times as large as they should be" in reasons(found)[0]
-
-
 def test_a_mirror_image_is_joined_and_named(
     plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
