@@ -32,7 +32,7 @@ UNREADABLE = "?"  # `ffcomp machines check` says why
 
 @verb
 def list_machines() -> Result:
-    """List the machines of the library and your own: deltas, CoreXY and cartesian printers."""
+    """List the library's machines and your own: deltas, CoreXY, cartesian."""
     from models.finding import named_machines
 
     return MachineList(named_machines())

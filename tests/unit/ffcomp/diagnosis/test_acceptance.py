@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import unfounded
+from ffcomp.diagnosis.acceptance import rejections, unfounded
 from ffcomp.diagnosis.fit import FORMULA_ERROR, Fit, intervals_of
 from ffcomp.diagnosis.held_out import HeldOut, left_of
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
 
 MASS = Parameter("effects.frame_mode.mass_kg", 0.0, 0.1, 0.0, 10.0)
@@ -33,6 +34,23 @@ def test_what_is_left_counts_in_units_of_noise_and_of_signals() -> None:
     assert left_of([loud_line]) == pytest.approx(0.40 / 0.99)
     loud_noise = HeldOut(**place, after=400.0, power=(1.0, 0.07, 1.2, 0.01))
     assert left_of([loud_noise]) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "after", "said"),
+    [
+        (0.0, [10.0], "it is not significantly better than retuning alone"),
+        (1e3, [], "it was tested nowhere else: there is one experiment only"),
+        (1e3, [1000.0], "data left out of the fit are simulated no better with it"),
+        (1e3, [400.0], "40 % of the discrepancy is left where it was left out of the fit"),
+        (1e3, [10.0], ""),
+    ],
+)
+def test_what_a_hypothesis_fails_by(ahead: float, after: list[float], said: str) -> None:
+    estimation: Any = SimpleNamespace(settings=SearchSettings(), tolerance=1.0)
+    best: Any = SimpleNamespace(fit=SimpleNamespace(ahead_of=lambda _: ahead), effects=(), effect_parameters=())
+    held_out = [HeldOut((0.0, 0.0), "", 100, 1e3, x, 1e3, power=(1.0, x / 1e3, 1.2, 0.0)) for x in after]
+    assert rejections(estimation, best.fit, best, held_out, {}) == [said] * bool(said)
 
 
 @pytest.mark.parametrize(("ratio", "refused"), [(0.06, False), (1.0, True)])
