@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from ffcomp.compensation.gcode_writer import STILL_MOVE
-from ffcomp.compensation.job import Job
-from ffcomp.errors import NothingToDo
-from gcode.container import read_bytes
 from gcode.embedded import original
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.program import Program
 from gcode.reader import read_program
-from models.file import load_machine
 from scripts.pages import dialects
 from tests.fuzz.test_random_programs import compensated, inverter
-from tests.support.compensated import plainly
-from tests.support.data import ROOT
 from validation.invariants import violations
 
 START = dialects.START
@@ -70,51 +60,3 @@ def test_a_feed_is_put_back_without_an_exponent(feed: str) -> None:
     data = f"{BODY}G1 F{feed}\nG28\n".encode()
     out = compensated(data, inverter())
     assert violations(data, out, inverter().machine) == []
-
-
-# ---- files ----
-
-
-OFFSETS = {  # beds with their origin in a corner; the vase's start moves need more room than its bed's centre leaves
-    "ender3_ringing_tower.gcode": (-110.0, -110.0),
-    "gcodepreview_benchy_arcs.gcode": (-100.0, -100.0),
-    "gcodepreview_vase.gcode": (-70.0, -75.0),
-    "makreeltje_orca_slicer.gcode": (-150.0, -150.0),
-    "makreeltje_cura_slicer.gcode": (-150.0, -150.0),
-}
-
-needs_data = pytest.mark.skipif(
-    not ROOT.is_dir(), reason=f"no G-code of others at {ROOT}; FFCOMP_DATA names its folder"
-)
-ODD = sorted((ROOT / "odd").iterdir()) if ROOT.is_dir() else []
-
-
-def job(data: bytes, path: Path) -> Job:
-    options = plainly(offset_mm=OFFSETS.get(path.name, (0.0, 0.0)), predict=False)
-    return Job(data, str(path), load_machine("mp-delta-pro"), options)
-
-
-@needs_data
-@pytest.mark.parametrize("path", ODD, ids=lambda p: p.name)
-def test_an_odd_file_gives_a_result_or_a_place_and_a_rule(path: Path) -> None:
-    out, refused = b"", None
-    try:
-        out = b"".join(job(read_bytes(path), path).lines())
-    except (NothingToDo, GcodeError) as error:
-        refused = error
-    if refused is None:
-        assert passed(read_program(path.read_bytes())) == [a for a in out.splitlines(keepends=True) if a in kept(path)]
-    elif isinstance(refused, GcodeError):
-        assert refused.path and refused.rule.endswith((".", "?", ")"))
-        assert refused.line is not None or path.stat().st_size == 0
-    else:
-        assert str(path) in str(refused)
-
-
-def kept(path: Path) -> set[bytes]:
-    return set(passed(read_program(path.read_bytes())))
-
-
-def passed(program: Program) -> list[bytes]:
-    """Lines that are no moves, in order."""
-    return [program.lines[e.line] for e in program.events if not STILL_MOVE.match(program.lines[e.line])]

@@ -21,16 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lines = (ROOT / "sample_prints" / "ringing_tower.gcode").read_bytes().splitlines(keepends=True)
     sliced = [lines[0], *thumbnail(), OBJECT, *lines[1:160], *lines[-300:]]
     (folder / "tower.gcode").write_bytes(b"".join(sliced))
-    words = [
-        "compensate",
-        folder / "tower.gcode",
-        "-m",
-        "mp-delta-pro",
-        "-o",
-        folder / "done.gcode",
-        "-q",
-        "--no-predict",
-    ]
+    words = ["compensate", folder / "tower.gcode", "-o", folder / "done.gcode", "-m", "mp-delta-pro", "--no-predict"]
     done = CliRunner().invoke(app, [str(word) for word in words])
     assert done.exit_code == 0, done.output
     return folder

@@ -18,7 +18,6 @@ PRINTS = (
     "makreeltje_cura_slicer.gcode",
     "makreeltje_orca_slicer.gcode",
 )
-ODD = sorted(path.name for path in (ROOT / "odd").glob("*")) or ["no odd files"]
 
 
 def real(name: str) -> bytes:

@@ -11,20 +11,13 @@ from hypothesis import strategies as st
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
-from tests.support.data import ODD, PRINTS, real
+from tests.support.data import PRINTS, real
 
 HOME = (0.0, 0.0, 0.0)
 
 
 def read(*lines: str, **options) -> Program:
     return read_program("\n".join(lines).encode(), start=options.pop("start", HOME), **options)
-
-
-def attempt(data: bytes, name: str = "") -> tuple[Program | None, GcodeError | None]:
-    try:
-        return read_program(data, name), None
-    except GcodeError as error:
-        return None, error
 
 
 def kinds(program: Program) -> list[EventKind]:
@@ -61,17 +54,6 @@ def test_real_prints_are_kept_whole(name: str) -> None:
     jumps = np.flatnonzero((moves.start[1:] != moves.end[:-1]).any(axis=1)) + 1
     stops = {event.move for event in program.events if event.kind in (EventKind.RAW_MOVE, EventKind.STOP)}
     assert stops.issuperset(jumps.tolist())
-
-
-@pytest.mark.parametrize("name", ODD)
-def test_odd_files_are_read_or_refused_with_a_place(name: str) -> None:
-    data = real("odd/" + name)
-    program, error = attempt(data, name)
-    if program is not None:
-        check_whole(program, data)
-    else:
-        assert error is not None and error.line is not None
-        assert str(error).startswith(f"{name}:{error.line}: ")
 
 
 def positions_by_regex(data: bytes) -> list[tuple[float, float, float]]:
