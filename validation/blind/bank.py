@@ -195,29 +195,18 @@ def read_verdict(path: Path) -> dict[str, Any]:
     """
     try:
         answer = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(str(path), [f"It is no JSON: {error}."]) from None
-    if why := _mistake(answer):
-        raise MeasurementError(str(path), [why])
-    named, alike = (
-        [each if isinstance(each, Mapping) else {"name": each} for each in answer.get(key, [])]
-        for key in ("effects", "confusable_with")
-    )
+        named, alike = (
+            [each if isinstance(each, Mapping) else {"name": each} for each in answer.get(key, ())]
+            for key in ("effects", "confusable_with")
+        )
+        sound = answer["verdict"] in VERDICTS and all(isinstance(each["name"], str) for each in named)
+        sound = sound and isinstance(answer.get("effects", []), list) and bool(named or answer["verdict"] != "effects")
+    except (ValueError, AttributeError, KeyError, TypeError):
+        sound = False
+    if not sound:
+        rule = f'"verdict" is one of {", ".join(VERDICTS)}, "effects" a list of names, or of objects with a "name".'
+        raise MeasurementError(str(path), [f"It is no verdict: {rule}"])
     return {**answer, "effects": [{"parameters": {}, **each} for each in named], "confusable_with": alike}
-
-
-def _mistake(answer: Any) -> str:
-    """Say what is wrong with one answer; "" if nothing is."""
-    if not isinstance(answer, Mapping) or answer.get("verdict") not in VERDICTS:
-        return f'"verdict" must be one of {", ".join(VERDICTS)}.'
-    named = answer.get("effects", [])
-    if not isinstance(named, list) or not all(isinstance(each, str | Mapping) for each in named):
-        return '"effects" must be a list of names, or of objects with "name" and "parameters".'
-    if any(isinstance(each, Mapping) and not isinstance(each.get("name"), str) for each in named):
-        return 'each of "effects" needs a "name".'
-    if answer["verdict"] == "effects" and not named:
-        return 'the verdict "effects" needs at least one of "effects".'
-    return ""
 
 
 def make_case(folder: Path, name: str, seed: int, stratum: str, seconds: float) -> str | None:

@@ -28,12 +28,7 @@ from validation.blind.kinds import KINDS, Kind
 from validation.blind.motions import Motion
 from validation.blind.real import FloatArray, Reading, Real, Tables, combined, read_at, toml_of
 from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
-from validation.blind.visible import (
-    PROBE,
-    Visibility,
-    visibility_by_refit,
-    whitened,
-)
+from validation.blind.visible import PROBE, Visibility, visibility_by_refit, whitened
 
 FILE_ERROR, ROUGH_FILE_ERROR = 0.02, 0.05  # standard deviation of numbers, relative
 REST = (0.05, 0.2)  # of what all that is hidden is worth when the file's numbers are refitted
