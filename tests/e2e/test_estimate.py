@@ -19,6 +19,7 @@ from ffcomp.estimation.engine import Estimate, estimate, planned_slices
 from ffcomp.estimation.statistics import Statistics
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from tests.support.cli import CliRunner, Result
@@ -63,12 +64,13 @@ def spiral(k: int) -> tuple[float, float]:
     return 20 * math.cos(k / 10), 20 * math.sin(k / 10)
 
 
-def account_of(data: bytes, part_bytes: int = 1 << 20) -> Statistics:
-    def plan_of(program: Program) -> object:
-        return plan_program(program, machine()).trajectory
+def planned(program: Program) -> Trajectory:
+    return plan_program(program, machine()).trajectory
 
+
+def account_of(data: bytes, part_bytes: int = 1 << 20) -> Statistics:
     statistics = Statistics()
-    for span in planned_slices(read_parts([data], flavor="klipper", part_bytes=part_bytes), plan_of):  # type: ignore[arg-type]
+    for span in planned_slices(read_parts([data], flavor="klipper", part_bytes=part_bytes), planned):
         statistics.add(span)
     return statistics
 
@@ -100,10 +102,6 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
     statistics = account_of(data, 9_000)
     assert statistics.moves == 6001 - 1  # the first one begins nowhere
     assert statistics.total.time_s == pytest.approx(whole, abs=1e-9)
-
-
-def planned(program: Program) -> object:
-    return plan_program(program, machine()).trajectory
 
 
 @pytest.mark.slow

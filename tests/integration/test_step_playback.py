@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,9 @@ from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import read_command, simulate_command
 from ffcomp.steps.archive import MotorSteps
 from gcode.reader import read_program
-from models.arrays import constant
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.machines import host_machine
 from validation import kalico
 
 FloatArray = NDArray[np.float64]
@@ -155,18 +154,6 @@ def test_the_hosts_own_steps_play_our_plan(microsteps: int, largest_um: float, r
     distance = apart_um(steps, planned(machine), machine)
     assert distance.max() < largest_um
     assert np.sqrt(np.mean(distance**2)) < rms_um
-
-
-def host_machine() -> Machine:
-    """Ours on the host's delta."""
-    geometry = replace(
-        MACHINE.kinematics,
-        arm_lengths_mm=constant([kalico.ARM_LENGTH_MM] * 3),
-        delta_radii_mm=constant([kalico.RADIUS_MM] * 3),
-        tower_angles_deg=constant([210.0, 330.0, 90.0]),
-        effector_height_mm=0.0,
-    )
-    return replace(MACHINE, kinematics=geometry)
 
 
 def host_archive(host: dict[str, Any], step_mm: float) -> dict[str, Any]:

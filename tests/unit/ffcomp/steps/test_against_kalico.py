@@ -20,9 +20,8 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
-from models.arrays import constant
-from models.file import load_machine
 from models.machine import Steps
+from tests.support.machines import host_machine
 from tests.support.pieces import trajectory_pieces
 from validation import kalico
 from validation.judge import HOST_KNOWS
@@ -60,15 +59,7 @@ def plan(name: str) -> Trajectory:
 
 @cache
 def ours(name: str, error_s: float | None) -> dict[str, MotorSteps]:
-    machine = load_machine("mp-delta-pro")
-    geometry = replace(
-        machine.kinematics,
-        arm_lengths_mm=constant([kalico.ARM_LENGTH_MM] * 3),
-        delta_radii_mm=constant([kalico.RADIUS_MM] * 3),
-        tower_angles_deg=constant([210.0, 330.0, 90.0]),
-        effector_height_mm=0.0,
-    )
-    machine = replace(machine, kinematics=geometry, steps=Steps(0.5 / kalico.HALF_STEP_MM))
+    machine = replace(host_machine(), steps=Steps(0.5 / kalico.HALF_STEP_MM))
     with tempfile.TemporaryDirectory() as folder, StepSink(machine, BOARD, Path(folder, "steps"), error_s) as sink:
         for pieces in trajectory_pieces(plan(name)):
             sink.pieces(pieces)
