@@ -24,9 +24,9 @@ class GcodeError(ValueError):
         place = ":".join(p for p in (self.path, "" if self.line is None else str(self.line)) if p)
         return f"{place}: {self.rule}" if place else self.rule
 
-    def located(self, path: str, lines_before: int = 0) -> GcodeError:
-        """Return the same error with the file's name, and with its line counted from the file's beginning."""
-        return type(self)(self.rule, None if self.line is None else self.line + lines_before, path)
+    def located(self, path: str) -> GcodeError:
+        """Return the same error with the file's name."""
+        return type(self)(self.rule, self.line, path)
 
 
 class UnsupportedGcode(GcodeError):

@@ -17,7 +17,6 @@ from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.reach import check_moves
 from ffcomp.planner.trajectory import Section, Trajectory, split_sections
-from gcode.errors import GcodeError
 from gcode.program import Event, EventKind, Moves, Program
 from gcode.reader import read_parts
 from gcode.slicing import portions
@@ -80,10 +79,7 @@ def firmware_plan(program: Program, machine: Machine) -> Trajectory:
         raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
     check_moves(program, machine.kinematics)
     stop_before, wait_before = stops_and_waits(program)
-    try:
-        return planner_of(program, machine)(moves, stop_before=stop_before, wait_before=wait_before)
-    except GcodeError as error:
-        raise error.located(program.path, program.first_line) from None
+    return planner_of(program, machine)(moves, stop_before=stop_before, wait_before=wait_before)
 
 
 def plan_section(limits: PlannerLimits, moves: Moves, begin_t: float) -> Trajectory:

@@ -35,7 +35,7 @@ from ffcomp.firmware.marlin_queue import (
 )
 from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
+from ffcomp.planner.lookahead import Phases, phases_from_corners, timed
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import REPRAPFIRMWARE
 from gcode.program import Moves, Program
@@ -127,7 +127,6 @@ def plan_by_axes(
 
     in_force : the settings at each line;  sharing : of X and Y, `sharing_of`;  queue : lines that are in sight
     """
-    check(moves, wait_before)
     lines, settings, rests = lines_of(moves), in_force.at(moves), stop_before | (wait_before > 0.0)
     top, acceleration = _bounds(lines.direction, lines.length, moves.speed, settings, sharing)
     kept, corner = _corners(lines.direction, lines.length, top, settings, rests)

@@ -23,6 +23,9 @@ EXTRUSION_RATIO = 16.0 * NOZZLE_MM**2 / (math.pi * FILAMENT_MM**2)  # of path to
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed
 
 
+_Numbers = tuple[float, float, float, float, float, float, float, float, tuple[tuple[float, float], ...]]
+
+
 class DeltaSlowZones(NamedTuple):
     """The geometry that decides where a delta's firmware slows down."""
 
@@ -55,6 +58,22 @@ class PlannerLimits:
     extruder_acceleration_mm_per_s2: float | None = None  # None: acceleration times EXTRUSION_RATIO
     instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # step in the speed of the filament at a corner
     delta: DeltaSlowZones | None = None  # None: no slow zones
+
+    @property
+    def numbers(self) -> _Numbers:
+        """What the configuration allows where the file says nothing, and nowhere more, for compiled loops.
+
+        Speed, acceleration, corner and cruise ratio; speed and acceleration of Z and of the filament; and beyond which
+        radius squared, mm², which share of speed and acceleration.
+        """
+        v, a, delta = self.velocity_mm_per_s, self.acceleration_mm_per_s2, self.delta
+        return (
+            *(v, a, self.square_corner_velocity_mm_per_s, self.minimum_cruise_ratio),
+            *(self.z_velocity_mm_per_s or v, self.z_acceleration_mm_per_s2 or a),
+            self.extruder_velocity_mm_per_s or v * EXTRUSION_RATIO,
+            self.extruder_acceleration_mm_per_s2 or a * EXTRUSION_RATIO,
+            tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
+        )
 
 
 class Lines(NamedTuple):
@@ -100,40 +119,10 @@ def _lines(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray, 
     return step, length, direction, travels
 
 
-class _Configured(NamedTuple):
-    """What the firmware's configuration allows where the file says nothing, and nowhere more."""
-
-    velocity: float
-    acceleration: float
-    square_corner_velocity: float
-    minimum_cruise_ratio: float
-    z_velocity: float
-    z_acceleration: float
-    extruder_velocity: float
-    extruder_acceleration: float
-    slow: tuple[tuple[float, float], ...]  # beyond this radius squared, mm², this share of velocity and acceleration
-
-    @staticmethod
-    def of(limits: PlannerLimits) -> _Configured:
-        velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
-        delta = limits.delta
-        return _Configured(
-            velocity,
-            acceleration,
-            limits.square_corner_velocity_mm_per_s,
-            limits.minimum_cruise_ratio,
-            limits.z_velocity_mm_per_s or velocity,
-            limits.z_acceleration_mm_per_s2 or acceleration,
-            limits.extruder_velocity_mm_per_s or velocity * EXTRUSION_RATIO,
-            limits.extruder_acceleration_mm_per_s2 or acceleration * EXTRUSION_RATIO,
-            tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
-        )
-
-
 def bounds_of(moves: Moves, lines: Lines, limits: PlannerLimits) -> Bounds:
     """Every limit on single moves, put together."""
     by_file = moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio
-    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines, by_file, _Configured.of(limits)))
+    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines, by_file, limits.numbers))
 
 
 @kernel
@@ -143,36 +132,37 @@ def _bounds(
     speed: FloatArray,
     lines: Lines,
     set_by_the_file: tuple[FloatArray, ...],
-    configured: _Configured,
+    configured: _Numbers,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute the columns of `Bounds`; set_by_the_file: velocity, acceleration, corner and cruise ratio, (n,) each."""
     n, direction, travels = len(speed), lines.direction, lines.travels
     top, acceleration, smooth, deviation = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     velocities, accelerations, corners, ratios = set_by_the_file
+    velocity, limit, usual_corner, usual_ratio, z_velocity, z_limit, e_velocity, e_limit, slow_zones = configured
     for i in range(n):
-        set_velocity = _or_default(velocities[i], configured.velocity)
-        set_acceleration = _or_default(accelerations[i], configured.acceleration)
+        set_velocity = _or_default(velocities[i], velocity)
+        set_acceleration = _or_default(accelerations[i], limit)
         v, a = speed[i], np.inf
         if travels[i]:
             v, a = min(v, set_velocity), set_acceleration
         along_z = abs(direction[i, 2])
         if along_z > 0.0:
-            v, a = _share_bound(v, a, along_z, configured.z_velocity, configured.z_acceleration)
+            v, a = _share_bound(v, a, along_z, z_velocity, z_limit)
         if travels[i]:
             # NOTE: a share of the *configured* limits; what the file sets (SET_VELOCITY_LIMIT, M204) does not count
             farthest = max(start[i, 0] ** 2 + start[i, 1] ** 2, end[i, 0] ** 2 + end[i, 1] ** 2)
             share = np.inf
-            for beyond, slow in configured.slow:
+            for beyond, slow in slow_zones:
                 if farthest > beyond:
                     share = slow
-            v, a = min(v, configured.velocity * share), min(a, configured.acceleration * share)
+            v, a = min(v, velocity * share), min(a, limit * share)
         # the extruder leads where nothing moves in XY, and in a retraction
         filament = direction[i, 3]
         if filament < 0.0 or (filament > 0.0 and direction[i, 0] == 0.0 and direction[i, 1] == 0.0):
-            v, a = _share_bound(v, a, abs(filament), configured.extruder_velocity, configured.extruder_acceleration)
-        corner = _or_default(corners[i], configured.square_corner_velocity)
+            v, a = _share_bound(v, a, abs(filament), e_velocity, e_limit)
+        corner = _or_default(corners[i], usual_corner)
         top[i], acceleration[i] = v, a
-        smooth[i] = min(a, set_acceleration * (1.0 - _or_default(ratios[i], configured.minimum_cruise_ratio)))
+        smooth[i] = min(a, set_acceleration * (1.0 - _or_default(ratios[i], usual_ratio)))
         deviation[i] = corner * corner * (math.sqrt(2.0) - 1.0) / set_acceleration
     return top, acceleration, smooth, deviation
 
@@ -201,5 +191,5 @@ def planner_limits(machine: Machine) -> PlannerLimits:
         square_corner_velocity_mm_per_s=limits.square_corner_velocity_mm_per_s,
         z_velocity_mm_per_s=limits.z_velocity_mm_per_s,
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2,
-        delta=None if zones is None else DeltaSlowZones(zones.delta_radius_mm, zones.shortest_arm_mm, half_step),
+        delta=None if zones is None else DeltaSlowZones(*zones, half_step),
     )

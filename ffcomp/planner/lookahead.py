@@ -17,7 +17,6 @@ import numpy as np
 
 from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
-from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
@@ -85,13 +84,7 @@ def plan_moves(
     stop_before : (n,) the motion comes to rest before the move
     wait_before : (n,) s at rest before the move; more than zero implies a stop
     start_t : s, when the plan begins (with the first wait, if there is one)
-
-    Raises
-    ------
-    GcodeError
-        A move whose place, speed or limits no firmware can follow, with its line.
     """
-    check(moves, wait_before)
     lines = lines_of(moves)
     bounds = bounds_of(moves, lines, limits)
     stops = stop_before | (wait_before > 0.0)
@@ -223,28 +216,3 @@ def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, ca
             ceiling[j] = min(ceiling[j - 1], start[j])
         braking = 0
     return ceiling
-
-
-# Complaints
-
-
-def check(moves: Moves, wait_before: FloatArray) -> None:
-    """Refuse moves and waits that no firmware can follow."""
-    if (wrong := ~(np.isfinite(wait_before) & (wait_before >= 0.0))).any():
-        i = int(np.argmax(wrong))
-        raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")
-    place = np.linalg.norm(moves.end - moves.start, axis=1)
-    _refuse(moves, ~np.isfinite(place), place, "travels {} mm; a distance is finite")
-    _refuse(moves, ~(moves.speed > 0.0), moves.speed, "has the speed {} mm/s; it must be above zero")
-    for name in ("velocity_limit", "acceleration"):
-        value = getattr(moves, name)
-        _refuse(moves, value <= 0.0, value, f"has the {name.replace('_', ' ')} {{}}; it must be above zero")
-    corner, ratio = moves.square_corner_velocity, moves.minimum_cruise_ratio
-    _refuse(moves, corner < 0.0, corner, "has the square corner velocity {} mm/s; it cannot be negative")
-    _refuse(moves, (ratio < 0.0) | (ratio >= 1.0), ratio, "has the minimum cruise ratio {}; it is in [0, 1)")
-
-
-def _refuse(moves: Moves, wrong: BoolArray, value: FloatArray, rule: str) -> None:
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise GcodeError(f"The move {rule.format(value[i])}.", int(moves.line[i]) + 1)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -37,14 +36,6 @@ class Compiled(Protocol):
 
     def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return J̇ q̇, mm/s²."""
-
-
-@dataclass(frozen=True)
-class SlowZones:
-    """Lengths that decide where a delta's firmware slows down: its carriages outrun the nozzle near the rim."""
-
-    delta_radius_mm: float
-    shortest_arm_mm: float
 
 
 class Kinematics(ABC):
@@ -166,8 +157,11 @@ class Kinematics(ABC):
         return bool(np.count_nonzero(self.motors) > 3)
 
     @property
-    def slow_zones(self) -> SlowZones | None:
-        """Return the lengths where the firmware slows down near the border; None: it does not."""
+    def slow_zones(self) -> tuple[float, float] | None:
+        """Return the lengths that decide where carriages outrun the nozzle, so that firmware slows down; None: nowhere.
+
+        Radius and shortest arm, mm.
+        """
         return None
 
     @property

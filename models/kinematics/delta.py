@@ -24,7 +24,7 @@ import numpy as np
 
 from models.arrays import BoolArray, FloatArray, constant
 from models.kinematics import base
-from models.kinematics.base import ALONG, AXES, INSIDE_MM, SLACK_MM, TOWERS, Compiled, Kinematics, SlowZones
+from models.kinematics.base import ALONG, AXES, INSIDE_MM, SLACK_MM, TOWERS, Compiled, Kinematics
 
 LOWEST_Z_MM = -5.0  # below the bed: room for a calibrated or baby-stepped first layer
 OUTER_SHARE = 0.8  # of the print radius: a position where the vibrations differ from the centre's
@@ -71,9 +71,9 @@ class DeltaKinematics(Kinematics):
         return self.print_height_mm
 
     @property
-    def slow_zones(self) -> SlowZones:
-        """Return the lengths where the firmware slows down near the border."""
-        return SlowZones(float(self.delta_radii_mm.max()), float(self.arm_lengths_mm.min()))
+    def slow_zones(self) -> tuple[float, float]:
+        """Return radius and shortest arm, mm, which decide where carriages outrun the nozzle."""
+        return (float(self.delta_radii_mm.max()), float(self.arm_lengths_mm.min()))
 
     @property
     def tower_directions(self) -> Mapping[str, FloatArray]:

@@ -150,7 +150,7 @@ def simulate_printers(
     for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
         try:
             start = None if starts is None else starts[i]
-            splines.check(command, dt_s, start)
+            _check(command, dt_s, start)
             printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
             if converted is None or id(printer) not in ready:
                 ready[id(printer)] = _ready(printer, dt_s, substeps)
@@ -176,15 +176,6 @@ class Splines:
     def __init__(self) -> None:
         self._cubics: dict[tuple[object, ...], tuple[FloatArray, FloatArray]] = {}
         self._joined: dict[tuple[int, ...], tuple[tuple[FloatArray, ...], FloatArray]] = {}
-        self._checked: dict[int, FloatArray] = {}
-
-    def check(self, command: FloatArray, dt_s: float, start: PrinterState | None) -> None:
-        """Check what may be simulated, a command at rest only once; raise a ValueError for what may not."""
-        if start is not None or id(command) not in self._checked:
-            _check(command, dt_s, start)
-        if start is None and id(command) not in self._checked:
-            _forget(self._checked)
-            self._checked[id(command)] = command  # held, it keeps its id
 
     def of(
         self,
@@ -377,7 +368,7 @@ def _linear(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
 HOLDS: Mapping[Hold, Callable[[FloatArray, FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
 
 
-def _check(command: FloatArray, dt_s: float, start: PrinterState | None = None) -> None:
+def _check(command: FloatArray, dt_s: float, start: PrinterState | None) -> None:
     if command.ndim != 2 or command.shape[1] != 3 or len(command) < 2:
         raise ValueError(f"The command has shape {command.shape}; it must be (n, 3) with at least two rows.")
     if not np.all(np.isfinite(command)):
