@@ -233,7 +233,7 @@ def _furthest(
     while last < pin:
         long_enough = _apart(points, first, last) >= shortest_mm
         if at[last] - at[first] >= limits.shortest - KNOT_ROUNDING and (
-            long_enough or not _may_miss(at, points, e, first, last + 1, shortest_mm)
+            long_enough or not _may_miss(at, points, e, first, last + 1, limits)
         ):
             break  # the latter: too short a segment rather than a turn that is cut off
         last += 1
@@ -249,19 +249,19 @@ def _balanced(
     at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, pin: int, limits: MergeLimits
 ) -> int:
     """Where the segment from `first` ends so that the rest until the pinned point is not too short."""
-    shortest_mm = limits.shortest_mm
     for j in range(last, first, -1):
         in_time = at[pin] - at[j] >= limits.shortest and at[j] - at[first] >= limits.shortest - KNOT_ROUNDING
-        if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= shortest_mm:
+        if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= limits.shortest_mm:
             return j
-    return pin if _may_miss(at, points, e, first, pin, shortest_mm) else last
+    return pin if _may_miss(at, points, e, first, pin, limits) else last
 
 
 @kernel
-def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, shortest_mm: float) -> bool:
-    """Whether one segment may do because two would be too short; a loop that ends where it began may not."""
-    coarse = (COARSE_SHARE * shortest_mm, COARSE_SHARE * shortest_mm, 1e9)
-    return _stays_near(points, first, last, 2.0 * shortest_mm) or _straight(at, points, e, first, last, coarse)
+def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, limits: MergeLimits) -> bool:
+    """Whether one segment may do because two would be too short; a loop or filament that turns back may not."""
+    near = _stays_near(points, first, last, 2.0 * limits.shortest_mm)
+    miss = 1e9 if near else COARSE_SHARE * limits.shortest_mm
+    return _straight(at, points, e, first, last, (miss, miss, limits.filament_mm))
 
 
 @kernel
