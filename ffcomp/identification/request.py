@@ -166,7 +166,7 @@ class RingingRequest(Request):
     def check(self) -> None:
         """Raise RequestError without a frequency."""
         if self.x_hz is None and self.y_hz is None:
-            raise RequestError("A frequency is needed: along x, along y, or both.")
+            raise RequestError("A frequency is needed: --x-hz, --y-hz, or both.")
 
 
 @dataclass(frozen=True, kw_only=True)
