@@ -19,7 +19,7 @@ from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import build_track, contour_error, end_to_end, peaks, tracking
-from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
+from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.simulation.expectation import EXCERPT_S, Piece, expectation, pieces_of_segments
 from ffcomp.simulation.forecast import WAYS, Forecast, failure
@@ -141,14 +141,9 @@ class Prediction:
     def _step_s(self) -> float:
         return self.model.settings.segment_s / self.model.settings.substeps
 
-    def _solved_for(self, solved: SolvedSection) -> FloatArray:
-        """Return the solved command as one segment a knot, (n, 3) mm."""
-        s, filament = self.model.settings, np.diff(solved.reference.extrusion())
-        return sample_even_segments(solved.solution.vertices, filament, s.segment_s, s.output, s.substeps)
-
     def _executed(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> FloatArray:
         """Return the command by the written segments, (n, 3) mm."""
-        command = self._solved_for(solved)
+        command = self.model.executed(solved.reference, solved.solution.vertices)
         times = np.arange(len(command), dtype=np.float64) * self._step_s
         for piece in written:
             rows = slice(*times.searchsorted([piece.due[0], piece.due[-1]]).tolist())
@@ -160,12 +155,13 @@ class Prediction:
 
         state : (18,) at its beginning
         """
-        model, known = self.model, solved.solution.response
-        if not len(known):
-            return model.respond(solved.reference, command, state)
+        model, reference, known = self.model, solved.reference, solved.solution.response
+        if known is None:
+            return model.respond(reference, command, state)
         # of a nonlinear printer, whose change by the written segments is taken as linear
         kinematics, substeps = model.kinematics, model.settings.substeps
-        added = kinematics.inverse(command) - kinematics.inverse(self._solved_for(solved))
-        place = model.places(solved.reference.substeps(0, solved.reference.knots)[0])
+        solved_for = model.executed(reference, solved.solution.vertices)
+        added = kinematics.inverse(command) - kinematics.inverse(solved_for)
+        place = model.places(reference.substeps(0, reference.knots)[0])
         q, _ = model.plant.play(place, np.zeros_like(added), added, np.zeros_like(state), substeps)
         return kinematics.forward(kinematics.inverse(known) + q), state

@@ -22,11 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WrittenReference
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.sensitivity import MARGIN, Sensitivity, machines_off, perturbed_machines
-from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import contour_error
-from ffcomp.planner.segment_timing import sample_even_segments
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.compiled import fast_kernel, kernel
@@ -234,30 +232,33 @@ class Ensemble:
         """Time between two moments, s."""
         return SUBSTEP_STRIDE * self.model.settings.segment_s / self.model.settings.substeps
 
-    def errors(self, written: WrittenReference, solution: Solution) -> tuple[FloatArray, ShortArray]:
-        """Return contour errors at the moments: the file's printer's (m,) mm, and changes (k, m, 3) mm."""
-        at = slice(SUBSTEP_STRIDE - 1, None, SUBSTEP_STRIDE)
-        nominal = contour_error(*written.reference.path(), self.times(written, solution), solution.response[at])
-        changes = [change[at] for change in self._changes(written, solution)]
+    def errors(self, reference: Reference, vertices: FloatArray) -> tuple[FloatArray, ShortArray]:
+        """Return contour errors at the moments of a command (n + 1, 3) mm at the section's knots, from rest.
+
+        The file's printer's (m,) mm, and changes (k, m, 3) mm.
+        """
+        model, at = self.model, slice(SUBSTEP_STRIDE - 1, None, SUBSTEP_STRIDE)
+        played = model.executed(reference, vertices)
+        response, _ = model.respond(reference, played, model.machine.equilibrium(reference.at_knots(np.array([0]))[0]))
+        nominal = contour_error(*reference.path(), self.times(reference), response[at])
+        changes = [change[at] for change in self._changes(reference, played)]
         if not changes:
             return nominal, np.empty((0, len(nominal), 3), np.float32)
         return nominal, np.array(changes, dtype=np.float32)
 
-    def times(self, written: WrittenReference, solution: Solution) -> FloatArray:
+    def times(self, reference: Reference) -> FloatArray:
         """Return when the errors of `errors` are, (m,) s on the plan's clock."""
-        count = len(solution.response) // SUBSTEP_STRIDE
-        return np.asarray(written.reference.t0 + self.step_s * (1.0 + np.arange(count)))
+        count = reference.knots * self.model.settings.substeps // SUBSTEP_STRIDE
+        return np.asarray(reference.t0 + self.step_s * (1.0 + np.arange(count)))
 
-    def _changes(self, written: WrittenReference, solution: Solution) -> Iterator[FloatArray]:
-        """Yield what changes across the path, (m, 3) mm after every substep, in each direction."""
+    def _changes(self, reference: Reference, played: FloatArray) -> Iterator[FloatArray]:
+        """Yield what changes across the path, (m, 3) mm after every substep of a command, in each direction."""
         if not self.perturbed:
             return
-        model, s, reference = self.model, self.model.settings, written.reference
+        model, s = self.model, self.model.settings
         nozzle, velocity = reference.substeps(0, reference.knots)
         place = model.places(nozzle)
         centripetal = model.kinematics.rate_term(nozzle, np.ascontiguousarray(velocity))
-        filament = np.diff(reference.extrusion())
-        played = sample_even_segments(solution.vertices, filament, s.segment_s, s.output, s.substeps)
         command = model.kinematics.inverse(played)
 
         def respond(machine: Machine, plant: Schedule) -> FloatArray:

@@ -54,6 +54,18 @@ class Iterate:
         self.robust_offset = model.robust_offsets([reference])[0] if known is None else known
         self.extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(self.n - self.last)])
 
+    @cached_property
+    def _path_q(self) -> FloatArray:
+        return self.model.kinematics.inverse(self.reference.at_knots(np.arange(self.last + 1)))
+
+    def command(self, gamma: FloatArray) -> FloatArray:
+        """Return the nozzle's command (last + 1, 3) mm by some coefficients."""
+        return self.model.kinematics.forward(self._path_q + gamma[: self.last + 1])
+
+    def take(self, vertices: FloatArray) -> None:
+        """Set the coefficients to those of a command (last + 1, 3) mm."""
+        self.gamma[: self.last + 1] = self.model.kinematics.inverse(vertices) - self._path_q
+
 
 class KnotWindow:
     """The knots `at` … `end` of a section: the reference there, and the response to the coefficients as they stand."""
@@ -75,27 +87,15 @@ class KnotWindow:
         """Return the nozzle commands at the knots, (n + 1, 3) mm."""
         return self.iterate.model.kinematics.forward(self.reference_q + self.iterate.gamma[self.at : self.end + 1])
 
-    def respond(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the nozzle (m, 3) mm after every substep and the states at the knots, from the first one's (18,)."""
-        q, states = self._carriages(state)
-        return self.iterate.model.kinematics.forward(q), states
-
-    def error(self, response: FloatArray) -> FloatArray:
-        """Return the error of a response at the rows that are weighed, (rows, 3) mm."""
-        return self._due - response[self._stride - 1 :: self._stride]
-
     def error_from(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the error by the plant, and the states at the knots, from a state (18,) at the first knot."""
-        q, states = self._carriages(state)
-        rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
-        return self._due - self.iterate.model.kinematics.forward(rows), states
-
-    def _carriages(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the error (rows, 3) mm by the plant, and the states at the knots, from a state (18,) at the first."""
         model = self.iterate.model
-        command = model.kinematics.inverse(self.as_played())
-        return model.plant.play(self.place, self._centripetal, command, state, model.settings.substeps)
+        command = model.kinematics.inverse(self._executed())
+        q, states = model.plant.play(self.place, self._centripetal, command, state, model.settings.substeps)
+        rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
+        return self._due - model.kinematics.forward(rows), states
 
-    def as_played(self) -> FloatArray:
+    def _executed(self) -> FloatArray:
         """Return the command as the firmware executes the segments: straight, with its ramps, (m, 3) mm."""
         iterate, s = self.iterate, self.iterate.model.settings
         before = min(self.at, CONTEXT)
@@ -262,6 +262,11 @@ class InverseModel:
             t = reference.t0 + rows * s.segment_s / s.rows_per_segment
             paths.append(Path(reference.nozzle(t), reference.moving(t)))
         return self._robust.offsets(paths)
+
+    def executed(self, reference: Reference, vertices: FloatArray) -> FloatArray:
+        """Return a section's command at its knots (n + 1, 3) mm as the firmware executes it, after every substep."""
+        s = self.settings
+        return sample_even_segments(vertices, np.diff(reference.extrusion()), s.segment_s, s.output, s.substeps)
 
     def respond(self, reference: Reference, command: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the nozzle (n, 3) mm after every substep of a section, and the plant's state (18,) at its end.

@@ -44,7 +44,7 @@ from ffcomp.inverse import solve as fast
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.gains import REST_ROWS
-from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
+from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
 from models.compiled import kernel
@@ -226,10 +226,7 @@ def correct_sections(model: InverseModel, machine: Machine, sections: Sequence[S
 
 def _begin(model: InverseModel, section: SolvedSection) -> _Round:
     iterate, s = Iterate(model, section.reference), model.settings
-    knots = np.arange(iterate.last + 1)
-    iterate.gamma[: iterate.last + 1] = model.kinematics.inverse(section.solution.vertices) - model.kinematics.inverse(
-        section.reference.at_knots(knots)
-    )
+    iterate.take(section.solution.vertices)
     row_s = s.segment_s / s.substeps
     rest = None if section.rest_s is None else max(round(section.rest_s / row_s), 0)
     return _Round(
@@ -268,7 +265,9 @@ def _promised(rounds: Sequence[_Round]) -> float:
 def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Observe) -> list[FloatArray]:
     """Return what is observed in every section and a while after it, (rows + rest, 3) mm, from its first knot on."""
     s, late = model.settings, values_of(machine, "command_delay")
-    commands = [model.kinematics.inverse(KnotWindow(each.iterate, 0, each.iterate.last).as_played()) for each in rounds]
+    iterates = (each.iterate for each in rounds)
+    executed = (model.executed(each.reference, each.command(each.gamma)) for each in iterates)
+    commands = [model.kinematics.inverse(each) for each in executed]
     rests = [each.rest_rows for each in rounds]
     late_s = float(np.mean(late["delay_s"])) if late else 0.0
     return simulate_batch(machine, commands, rests, s.segment_s / s.substeps, REST_ROWS * s.substeps, seen, late_s)
@@ -310,7 +309,7 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     iterate = each.iterate
     for _ in range(SMOOTHINGS):
         iterate.gamma[:] = gamma + change
-        demand = utilisation_from_rest(_vertices(iterate, iterate.gamma), iterate.model.limits).max(axis=(1, 2))
+        demand = utilisation_from_rest(iterate.command(iterate.gamma), iterate.model.limits).max(axis=(1, 2))
         beyond = np.zeros((len(gamma), 1))
         beyond[: iterate.last + 1, 0] = np.maximum(demand[:-1], demand[1:]) > each.most
         if not beyond.any():
@@ -321,14 +320,7 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     iterate.gamma[:] = gamma
 
 
-def _vertices(iterate: Iterate, gamma: FloatArray) -> FloatArray:
-    """Return nozzle commands (n + 1, 3) mm at the knots."""
-    delta, knots = iterate.model.kinematics, np.arange(iterate.last + 1)
-    return delta.forward(delta.inverse(iterate.reference.at_knots(knots)) + gamma[: iterate.last + 1])
-
-
 def _result(model: InverseModel, each: _Round, linear: Solution) -> Solution:
-    vertices = _vertices(each.iterate, each.best)
-    return replace(
-        linear, vertices=vertices, response=each.response, utilisation=peak_utilisation(vertices, model.limits)
-    )
+    vertices = each.iterate.command(each.best)
+    utilisation = peak_utilisation(vertices, model.limits)
+    return replace(linear, vertices=vertices, response=each.response, utilisation=utilisation)

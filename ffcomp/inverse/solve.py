@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
-from ffcomp.inverse.model import CONTEXT, InverseModel, Iterate, KnotWindow
+from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.nearest import nearest_within_limits
 from ffcomp.inverse.reference import Reference
 from models.arrays import BoolArray, FloatArray
@@ -28,7 +28,6 @@ STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5
 CONVERGENCE_MM = 5e-3  # after so small a change, the next is a tenth of it
 PREVIEW_KNOTS = 32  # knots of preview: later errors affect the command by a hundred-thousandth
-AT_A_TIME = 512  # knots played
 MOVED_MM = 1e-6  # farther is changed
 AFFECTED = 32  # knots after a change whose errors are its own
 
@@ -48,10 +47,10 @@ class Solution:
 
     vertices: FloatArray  # (n + 1, 3) mm: the nozzle command at the knots
     state: FloatArray  # (18,): of the plant at the last knot
-    response: FloatArray  # (n·substeps, 3) mm: the nozzle's position by the design model; empty if not requested
     windows: int  # solved
     utilisation: float  # peak demand on a carriage over its limit; up to 1 is allowed
     limited: tuple[LimitedWindow, ...] = ()
+    response: FloatArray | None = None  # (n·substeps, 3) mm: of a nonlinear printer's nozzle; None: it is linear
 
 
 def solve(
@@ -59,7 +58,6 @@ def solve(
     reference: Reference,
     state: FloatArray,
     *,
-    keep_response: bool = False,
     enforce_limits: bool = True,
 ) -> Solution:
     """Solve one section.
@@ -69,34 +67,30 @@ def solve(
     model : of the machine
     reference : of the section
     state : (18,) of the plant at the section's first knot
-    keep_response : return the nozzle's response too
     enforce_limits : False leaves a command above a limit unchanged
     """
     iterate, begin, limited = Iterate(model, reference), state, tuple[LimitedWindow, ...]()
-    responses, at, windows = [np.empty((0, 3))], 0, 0
+    at = windows = 0
     while at < iterate.last:
         stop = at + STRETCH if iterate.last - at > STRETCH + PREVIEW_KNOTS else iterate.last
-        part, state = _solve_stretch(Sweep(iterate, at, stop), state, keep_response)
-        responses.append(part)
+        state = _solve_stretch(Sweep(iterate, at, stop), state)
         at, windows = stop, windows + 1
-    response = np.concatenate(responses)
     utilisation = peak_utilisation(iterate.vertices, model.limits)
     if enforce_limits and utilisation > 1.0:
         moved = _limit(iterate)
-        played, error, state = _play(iterate, begin)
-        response = played if keep_response else response
+        error, states = KnotWindow(iterate, 0, iterate.last).error_from(begin)
+        farthest = np.sqrt((error**2).sum(axis=1)).reshape(iterate.last, -1).max(axis=1)
+        limited, state = tuple(_windows(moved, farthest)), states[-1]
         utilisation = peak_utilisation(iterate.vertices, model.limits)
-        limited = tuple(_windows(moved, error))
-    return Solution(iterate.vertices, state, response, windows, utilisation, limited)
+    return Solution(iterate.vertices, state, windows, utilisation, limited)
 
 
 def _limit(iterate: Iterate) -> BoolArray:
     """Take the nearest command within the limits; return which segments (n,) end at knots that it moves."""
-    model, kinematics = iterate.model, iterate.model.kinematics
+    model, free = iterate.model, iterate.command(iterate.gamma)
     path = iterate.reference.at_knots(np.arange(iterate.last + 1))
-    free = kinematics.forward(kinematics.inverse(path) + iterate.gamma[: iterate.last + 1])
-    iterate.vertices[:] = nearest_within_limits(free, path, model.limits, kinematics)
-    iterate.gamma[: iterate.last + 1] = kinematics.inverse(iterate.vertices) - kinematics.inverse(path)
+    iterate.vertices[:] = nearest_within_limits(free, path, model.limits, model.kinematics)
+    iterate.take(iterate.vertices)
     moved = np.abs(iterate.vertices - free).max(axis=1) > MOVED_MM
     return np.asarray(moved[:-1] | moved[1:])
 
@@ -107,26 +101,6 @@ def _windows(moved: BoolArray, error: FloatArray) -> Iterator[LimitedWindow]:
     for part in np.split(segments, np.flatnonzero(np.diff(segments) > AFFECTED) + 1):
         if len(part):
             yield LimitedWindow(int(part[0]), int(part[-1]), float(error[part[0] : part[-1] + AFFECTED].max()))
-
-
-def _play(iterate: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Simulate the command from a state (18,).
-
-    Returns
-    -------
-    the nozzle (n·substeps, 3) mm; how far it is from the path in each segment, (n,) mm; the state (18,) at the end
-    """
-    s, responses, errors = iterate.model.settings, list[FloatArray](), list[FloatArray]()
-    for at in range(0, iterate.last, AT_A_TIME):
-        kept = min(AT_A_TIME, iterate.last - at)
-        # how a segment ends depends on the few that follow
-        window = KnotWindow(iterate, at, min(at + kept + CONTEXT, iterate.n))
-        response, states = window.respond(state)
-        error = window.error(response)[: kept * s.rows_per_segment]
-        responses.append(response[: kept * s.substeps])
-        errors.append(np.sqrt((error**2).sum(axis=1)).reshape(kept, -1).max(axis=1))
-        state = states[kept]
-    return np.concatenate(responses), np.concatenate(errors), state
 
 
 class Sweep:
@@ -171,8 +145,8 @@ def answer(iterate: Iterate, gamma: FloatArray, residual: FloatArray) -> FloatAr
     return out
 
 
-def _solve_stretch(sweep: Sweep, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
-    """Find the coefficients of a stretch from the plant's state (18,); return the response and the state at its end."""
+def _solve_stretch(sweep: Sweep, state: FloatArray) -> FloatArray:
+    """Find the coefficients of a stretch from the plant's state (18,); return the state at its end."""
     iterate, window, kept = sweep.iterate, sweep.window, sweep.stop - sweep.at
     _begin(sweep)
     gamma = iterate.gamma[window.at + 1 : window.end + 1]
@@ -183,10 +157,7 @@ def _solve_stretch(sweep: Sweep, state: FloatArray, keep_response: bool) -> tupl
         if float(np.abs(change[:kept]).max()) < CONVERGENCE_MM:
             break
     iterate.vertices[sweep.at : sweep.stop + 1] = window.vertices()[: kept + 1]
-    after = states[kept] + answer  # the same with and without a response: not a digit may depend on a prediction
-    if keep_response:
-        return window.respond(state)[0][: kept * iterate.model.settings.substeps], after
-    return np.empty((0, 3)), after
+    return states[kept] + answer
 
 
 def _begin(sweep: Sweep) -> None:

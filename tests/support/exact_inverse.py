@@ -25,35 +25,34 @@ def solve_exactly(
     model: InverseModel, reference: Reference, state: FloatArray, commit: int = 64, preview: int = 24
 ) -> Solution:
     """Solve a section window by window, from the plant's state (18,) at its first knot."""
-    iterate, responses, windows, at = Iterate(model, reference), [np.empty((0, 3))], 0, 0
+    iterate, windows, at = Iterate(model, reference), 0, 0
     while at < iterate.last:
         commit_end = min(at + commit, iterate.last)
         if iterate.last - commit_end < preview // 2:
             commit_end = iterate.last  # a short remainder joins this window
-        response, state = _window(iterate, at, state, commit_end, min(commit_end + preview, iterate.n))
-        responses.append(response)
+        state = _window(iterate, at, state, commit_end, min(commit_end + preview, iterate.n))
         windows, at = windows + 1, commit_end
     utilisation = peak_utilisation(iterate.vertices, model.limits)
-    return Solution(iterate.vertices, state, np.concatenate(responses), windows, utilisation)
+    return Solution(iterate.vertices, state, windows, utilisation)
 
 
-def _window(iterate: Iterate, at: int, state: FloatArray, commit_end: int, end: int) -> tuple[FloatArray, FloatArray]:
-    """Set γ of the knots after `at`; return the response (mm) up to `commit_end` and the state there."""
-    s, window, unknowns = iterate.model.settings, KnotWindow(iterate, at, end), min(end, iterate.last - 1) - at
-    response, states = window.respond(state)
+def _window(iterate: Iterate, at: int, state: FloatArray, commit_end: int, end: int) -> FloatArray:
+    """Set γ of the knots after `at`; return the state at `commit_end`."""
+    window, unknowns = KnotWindow(iterate, at, end), min(end, iterate.last - 1) - at
+    error, states = window.error_from(state)
     if unknowns > 0:
         weight = np.sqrt(iterate.model.control_weight)
         bends = np.kron(np.diff(np.eye(unknowns + 4), 2, axis=0)[:, 2:-2], np.eye(3))
         matrix = np.concatenate([_phi(iterate.model, window, unknowns), weight * bends])
         for _ in range(1 + CORRECTIONS):
             around = np.pad(iterate.gamma, ((2, 2), (0, 0)))[at + 1 : at + unknowns + 5]
-            left = [window.error(response).ravel(), -weight * np.diff(around, 2, axis=0).ravel()]
+            left = [error.ravel(), -weight * np.diff(around, 2, axis=0).ravel()]
             step = np.linalg.lstsq(matrix, np.concatenate(left), rcond=None)[0]
             iterate.gamma[at + 1 : at + 1 + unknowns] += step.reshape(-1, 3)
-            response, states = window.respond(state)
+            error, states = window.error_from(state)
     shown = min(end, iterate.last) - at
     iterate.vertices[at : at + shown + 1] = window.vertices()[: shown + 1]
-    return response[: (commit_end - at) * s.substeps], states[commit_end - at]
+    return states[commit_end - at]
 
 
 def _phi(model: InverseModel, window: KnotWindow, unknowns: int) -> FloatArray:

@@ -20,7 +20,7 @@ from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import LayerOf, PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.segment_timing import sample_even_segments, segment_speeds
+from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves, Program
 from gcode.reader import read_program
@@ -90,9 +90,8 @@ def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> t
 
 
 def error_um(found: SolvedSection, inverter: InverseModel) -> float:
-    reference, s = found.reference, inverter.settings
-    filament, (nozzle, _) = np.diff(reference.extrusion()), reference.substeps(0, reference.knots)
-    command = sample_even_segments(found.solution.vertices, filament, s.segment_s, s.output, s.substeps)
+    reference, nozzle = found.reference, found.reference.substeps(0, found.reference.knots)[0]
+    command = inverter.executed(reference, found.solution.vertices)
     response, _ = inverter.respond(reference, command, inverter.machine.equilibrium(nozzle[0]))
     return 1e3 * float(np.sqrt(((response - nozzle[1:]) ** 2).sum(axis=1)).max())
 
