@@ -85,7 +85,7 @@ class GcodeRenderer:
 
     def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
         """Write the segments of a section, tile by tile, and the lines in it."""
-        planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
+        planned, reference, (begin, end) = self._planned, solved.reference, solved.reference.written
         heights = planned.program.moves.end[section.first : section.last, 2]
         vertices = self._kinematics.drawn_in(solved.solution.vertices, heights)
         inside = self._events.up_to(section.last - 1)

@@ -12,7 +12,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, section_planner
 from ffcomp.inverse.feasible import SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WHOLE, Extent
+from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
@@ -76,7 +76,7 @@ def solutions(
         from ffcomp.inverse.nonlinear import correct_sections
 
         corrected = correct_sections(model, model.printer, list(travelling))
-        wholes = (WHOLE if each.knots == (0, each.reference.knots) else extent for each in corrected)
+        wholes = (WHOLE if each.reference.written == (0, each.reference.knots) else extent for each in corrected)
         checked = zip(corrected, wholes, strict=True)
         travelling = (_checked(each, planned, model, part) for each, part in checked)
     for section in planned.sections:
@@ -95,10 +95,9 @@ def _linear(
     travels = [section for section in planned.sections if section.travels]
     parts = [extent if section is planned.sections[0] else WHOLE for section in travels]
     # robust offsets of many sections together cost half of what they do one by one
-    laid = [part.written(trajectory, section, settings) for part, section in zip(parts, travels, strict=True)]
-    offsets = model.robust_offsets([written.reference for written in laid])
-    later, before = 0.0, None
-    for section, part, written, offset in zip(travels, parts, laid, offsets, strict=True):
+    laid = [Reference(trajectory, section, settings, part) for part, section in zip(parts, travels, strict=True)]
+    offsets, later, before = model.robust_offsets(laid), 0.0, None
+    for section, part, reference, offset in zip(travels, parts, laid, offsets, strict=True):
         start = trajectory.origin[section.first, :3]
         if before is None or moved[section.first] or not before.is_at(start):
             state, rest = machine.equilibrium(start), None
@@ -107,14 +106,14 @@ def _linear(
             state = model.state_after_rest(before.state, start, rest)
         if later:
             section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
-            written = part.written(trajectory, section, settings)
-        if written.reference.knots * settings.rows_per_segment == len(offset):
-            written.reference.robust_offset = offset
+            reference = Reference(trajectory, section, settings, part)
+        if reference.knots * settings.rows_per_segment == len(offset):
+            reference.robust_offset = offset
         if settings.slowing.slow:
-            request = PlannedSection(program, trajectory, section, written, state, replanner, part)
+            request = PlannedSection(program, trajectory, section, reference, state, replanner, part)
             solved = solve_feasible(model, request)
         else:
-            solved = SolvedSection(trajectory, section, written, solve(model, written.reference, state))
+            solved = SolvedSection(trajectory, section, reference, solve(model, reference, state))
         solved = replace(solved, rest_s=rest)
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
@@ -133,7 +132,7 @@ def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel
     if extent == WHOLE:
         moves = some(planned.program.moves, slice(solved.section.first, solved.section.last))
         return replace(solved, fault=fault_of(model, moves, reference, vertices))
-    if why := path_fault(model, reference, vertices, solved.knots):
+    if why := path_fault(model, reference, vertices, reference.written):
         line = planned.program.line_of(solved.section.first)
         raise LimitsError(
             f"line {line}: the command of the motion that begins here failed its check: {why}. This is a fault of "

@@ -218,7 +218,7 @@ def of_section(
     section: Section, solved: SolvedSection, planned: PlannedProgram, extent: Extent, model: InverseModel
 ) -> Statistics:
     """Count a solved section, which lasts longer than it was planned."""
-    begin, end = solved.knots
+    begin, end = solved.reference.written
     longer_s = (end - begin) * model.settings.segment_s
     if extent.end is None:  # less what its plan has counted
         cut = extent.begin if section is planned.sections[0] else None
@@ -246,7 +246,7 @@ def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics
 
 def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> Iterator[str]:
     """Warn if more than a limit is demanded where the section is written."""
-    begin, end = solved.knots
+    begin, end = solved.reference.written
     demand = utilisation_from_rest(solved.solution.vertices, model.limits)[begin : end + 2].max(axis=(1, 2))
     worst = int(demand.argmax())
     if demand[worst] > UTILISATION_TOLERANCE:

@@ -86,7 +86,7 @@ class StepRenderer:
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
         """Write a section that travels, and give the lines in it their ticks."""
-        run, reference, (first, last) = solved.section, solved.reference, solved.knots
+        run, reference, (first, last) = solved.section, solved.reference, solved.reference.written
         moves = self._planned.program.moves
         self._tell_height(run.first)
         heights = moves.end[run.first : run.last, 2]

@@ -11,9 +11,10 @@ import numpy as np
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.command_limits import ACCELERATION, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WHOLE, Extent, Reference, WrittenReference, context_s, rooms_of
+from ffcomp.inverse.reference import WHOLE, Extent, Reference, context_s, rooms_of
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
+    Command,
     PlannedSection,
     Replanner,
     ScaledSection,
@@ -40,22 +41,12 @@ class SolvedSection:
 
     trajectory: Trajectory  # the whole plan; `lost_s` later after the section
     section: Section
-    written: WrittenReference
+    reference: Reference
     solution: Solution
     slowed: tuple[TimeScaling, ...] = ()
     lost_s: float = 0.0
     fault: str = ""  # why its original lines must be written instead; empty: its command is safe
     rest_s: float | None = None  # since the section before it ended; None: others have moved the nozzle
-
-    @property
-    def reference(self) -> Reference:
-        """The reference of the command."""
-        return self.written.reference
-
-    @property
-    def knots(self) -> tuple[int, int]:
-        """Between which it is written."""
-        return self.written.first, self.written.last
 
 
 def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSection:
@@ -70,15 +61,14 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
         Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
     """
     trajectory, section, settings = request.trajectory, request.section, model.settings
-    for written, gentle in _layouts(model, request):
-        if (found := _within_limits(model, request, written, gentle)) is not None:
-            return found
-    written = request.written
-    solution = solve(model, written.reference, request.state, enforce_limits=False)
+    for reference, gentle in _layouts(model, request):
+        free = solve(model, reference, request.state, enforce_limits=False)
+        if (found := _within_limits(model, request, (reference, free), gentle)) is not None:
+            return SolvedSection(trajectory, section, *found)
     scaled = ScaledSection(model, request)
-    written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
+    reference, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (reference, free))
     if not scaled.reasons:
-        return SolvedSection(trajectory, section, written, solution)
+        return SolvedSection(trajectory, section, reference, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
     records = tuple(
         scaled.records(
@@ -89,49 +79,48 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
     if settings.slowing.strict:
         _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
-    return SolvedSection(spliced, section, written, solution, records, lost)
+    return SolvedSection(spliced, section, reference, solution, records, lost)
 
 
-def _layouts(model: InverseModel, request: PlannedSection) -> Iterator[tuple[WrittenReference, bool]]:
+def _layouts(model: InverseModel, request: PlannedSection) -> Iterator[tuple[Reference, bool]]:
     """Yield the section on knots with increasing time beyond its path, and whether its command must end gently.
 
     Always all of the time makes ten prints 0.67 % longer on average, not 0.44 %, and their contour error no smaller.
     Without gentle ends a peak of acceleration was 2.3 times as high. With all of the time, they are not required.
     """
-    s, section, own = model.settings, request.section, request.written
+    section, own = request.section, request.reference
     if request.extent == WHOLE:
-        flows = bool((np.diff(own.reference.extrusion()) > FLOWS_MM).any())
-        *less, _ = rooms_of(section, s, flows)
-        for room in less:
-            written = request.extent.written(request.trajectory, section, s, room)
-            written.reference.take_offset_of(own.reference)
-            yield written, True
+        flows = bool((np.diff(own.extrusion()) > FLOWS_MM).any())
+        for room_s in rooms_of(section, model.settings, flows):
+            reference = Reference(request.trajectory, section, model.settings, room_s=room_s)
+            reference.take_offset_of(own)
+            yield reference, True
     yield own, False
 
 
-def _within_limits(
-    model: InverseModel, request: PlannedSection, written: WrittenReference, gentle: bool
-) -> SolvedSection | None:
-    """Solve a section on its knots, plainly where its robust command exceeds a limit; None if that exceeds one too.
+def _within_limits(model: InverseModel, request: PlannedSection, command: Command, gentle: bool) -> Command | None:
+    """Invert a section plainly where its robust command exceeds a limit; None if that exceeds one too.
 
+    command : on the same knots, without limits
     gentle : its ends must not need much more than its path and its middle
     """
-    offset = written.reference.robust_offset
+    reference, solution = command
+    offset = reference.robust_offset
     events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
     rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
     for left in reversed(range(rounds + 1)):
-        solution = solve(model, written.reference, request.state, enforce_limits=False)
-        beyond = _beyond(model, written, solution, gentle, events)
-        if not beyond[written.first : written.last].any():
-            return SolvedSection(request.trajectory, request.section, written, solution)
+        beyond = _beyond(model, reference, solution, gentle, events)
+        if not beyond[slice(*reference.written)].any():
+            return reference, solution
         if left:
-            written = written._replace(reference=copy(written.reference))
-            written.reference.calm(beyond)
+            reference = copy(reference)
+            reference.calm(beyond)
+            solution = solve(model, reference, request.state, enforce_limits=False)
     return None
 
 
 def _beyond(
-    model: InverseModel, written: WrittenReference, solution: Solution, gentle: bool, events: FloatArray
+    model: InverseModel, reference: Reference, solution: Solution, gentle: bool, events: FloatArray
 ) -> BoolArray:
     """Find the segments (n,) of a command that exceed a limit, or that the firmware cannot execute in their time.
 
@@ -141,14 +130,14 @@ def _beyond(
     utilisation = utilisation_from_rest(solution.vertices, model.limits)
     beyond = utilisation.max(axis=(1, 2)) > 1.0
     if gentle:
-        path = written.reference.at_knots(np.arange(written.reference.knots + 1))
+        path = reference.at_knots(np.arange(reference.knots + 1))
         asked = utilisation[:, ACCELERATION].max(axis=1)
         inner = asked[ENDS:-ENDS].max(initial=0.0)
         by_path = utilisation_from_rest(path, model.limits)[:, ACCELERATION].max()
         beyond |= asked > STEEP * max(by_path, inner)
     beyond[1] |= beyond[0]
     beyond[-2] |= beyond[-1]
-    return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices, events))
+    return np.asarray(beyond[1:-1] | late_segments(model, reference, solution.vertices, events))
 
 
 def scale_around_cut(
@@ -181,8 +170,8 @@ def scale_around_cut(
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
     state = model.machine.equilibrium(moves.start[0, :3])
     section = Section(0, len(moves), True, 0.0, plan.end_t)
-    written = middle.written(plan, section, model.settings)
-    request = PlannedSection(program, plan, section, written, state, replanner, middle)
+    reference = Reference(plan, section, model.settings, middle)
+    request = PlannedSection(program, plan, section, reference, state, replanner, middle)
     scaled = ScaledSection(model, request, fixed=~inner)
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()

@@ -21,35 +21,50 @@ ALL_ROOM_FROM_S = 5.0  # of motion
 ROUNDING = 1e-6  # of a segment
 FLOW_KNOTS = 6  # on either side of late segments, where the filament follows the command
 CALM_KNOTS = 10  # inverted plainly on either side of segments where the robust command exceeds a limit
+STANDS_MM = 1e-9
+LEAST_CONTEXT_S = 3.0  # of motion on either side of a cut: to plan, to settle and to look ahead
+SLOWEST_RAMPS = 3.0  # times the duration of the slowest ramp, at least
+CRUISE_RATIO = 0.5  # where the file says nothing
 
 
-class Room(NamedTuple):
-    """The time of a command beyond its path."""
-
-    lead_s: float  # before it
-    tail_s: float  # after it
-
-
-def rooms_of(section: Section, settings: Settings, flows: bool) -> Iterator[Room]:
-    """Yield increasing time beyond a section, in whole segments, up to the most that the settings allow.
+def rooms_of(section: Section, settings: Settings, flows: bool) -> Iterator[float]:
+    """Yield increasing time on either side of a section, in whole segments, below the most that the settings allow, s.
 
     A command that begins with its path must jump by what the machine gives way, and the less time it has, the harder it
     does. A travel may begin without any: nothing shows where it is late. A long section gets all of the time: it costs
     nothing, and where a motion is cut, both sides must find the same knots.
     """
-    duration_s, all_of_it = section.end_t - section.begin_t, Room(settings.lead_s, settings.tail_s)
+    duration_s = section.end_t - section.begin_t
     if duration_s <= ALL_ROOM_FROM_S:
         fewest = _segments_of(duration_s + (LEAST_S if flows else 0.0), settings.segment_s)
-        most = _segments_of(duration_s + sum(all_of_it), settings.segment_s)
+        most = _segments_of(duration_s + (settings.lead_s + settings.tail_s), settings.segment_s)
         for segments in range(fewest, most):
-            half_s = 0.5 * (segments * settings.segment_s - duration_s)
-            yield Room(half_s, half_s)
-    yield all_of_it
+            yield 0.5 * (segments * settings.segment_s - duration_s)
 
 
 def _segments_of(duration_s: float, segment_s: float) -> int:
     """Return how many segments a section of this duration has."""
     return math.ceil(duration_s / segment_s - ROUNDING)
+
+
+class Extent(NamedTuple):
+    """Which part of a section is written."""
+
+    begin: PathPosition | None = None  # None: from the section's beginning
+    end: PathPosition | None = None  # None: to the section's end
+
+    def written_s(self, plan: Trajectory, begin_t: float) -> float:
+        """Return the duration of the written part, s, as far as it ends in motion; begin_t : of the first knot, s."""
+        begin, end = self
+        return (plan.end_t if end is None else end.time_in(plan)) - (begin_t if begin is None else begin.time_in(plan))
+
+    def near(self, plan: Trajectory, within_s: float) -> list[slice]:
+        """Find the moves that are executed within a time of the cuts."""
+        cuts = [each.time_in(plan) for each in self if each is not None]
+        return [slice(int(plan.move_at(t - within_s)), int(plan.move_at(t + within_s)) + 1) for t in cuts]
+
+
+WHOLE = Extent()
 
 
 class Reference:
@@ -64,32 +79,37 @@ class Reference:
         trajectory: Trajectory,
         section: Section,
         settings: Settings,
-        through: tuple[float, int] | None = None,
-        room: Room | None = None,
+        extent: Extent = WHOLE,
+        room_s: float | None = None,
     ) -> None:
         """Lay the knots.
 
         Parameters
         ----------
         trajectory, section, settings : input and its sampling
-        through : a time of the plan's clock that must be a knot, whose number divides by another
-        room : beyond the path; None: all that the settings allow
+        extent : the part that is written; where it begins in motion, there is a knot, whose number divides by CUT
+        room_s : time of the command on either side of its path; None: all that the settings allow
         """
+        begin_t, end_t = (None if cut is None else cut.time_in(trajectory) for cut in extent)
         # by rounding, the next section may begin just before this one ends, and elsewhere
         trajectory = trajectory.part(section.first, section.last)
-        room = room or Room(settings.lead_s, settings.tail_s)
+        lead_s, tail_s = (settings.lead_s, settings.tail_s) if room_s is None else (room_s, room_s)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
         self._evened_mm: FloatArray | None = None  # (n + 1,) the filament ahead of the plan's at the knots: `even_flow`
-        self.t0 = section.begin_t - room.lead_s  # s on the plan's clock
-        if through is not None:
-            t, multiple = through
-            self.t0 = t - multiple * int(np.ceil((t - self.t0) / settings.segment_s / multiple)) * settings.segment_s
-        length = section.end_t - self.t0 + room.tail_s
+        self.t0 = section.begin_t - lead_s  # s on the plan's clock
+        if begin_t is not None:
+            cuts = int(np.ceil((begin_t - self.t0) / settings.segment_s / CUT))
+            self.t0 = begin_t - CUT * cuts * settings.segment_s
+        length = section.end_t - self.t0 + tail_s
         self.knots = _segments_of(length, settings.segment_s)
         self.shortest_knots = settings.merging.shortest  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps = settings.substeps
+        self.written = (  # between these knots the command is written
+            0 if begin_t is None else round(self.knot_of(begin_t)),
+            self.knots if end_t is None else round(self.knot_of(end_t)),
+        )
 
     def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
         """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""
@@ -228,53 +248,6 @@ def _stretches(marked: NDArray[np.bool_], cuts: list[int]) -> Iterator[slice]:
     for first, after in edges.reshape(-1, 2).tolist():
         inner = [cut for cut in cuts if first < cut < after]
         yield from (slice(*ends) for ends in pairwise([first, *inner, after]))
-
-
-STANDS_MM = 1e-9
-LEAST_CONTEXT_S = 3.0  # of motion on either side of a cut: to plan, to settle and to look ahead
-SLOWEST_RAMPS = 3.0  # times the duration of the slowest ramp, at least
-CRUISE_RATIO = 0.5  # where the file says nothing
-
-
-class WrittenReference(NamedTuple):
-    """A section's reference and the knots between which its command is written."""
-
-    reference: Reference
-    first: int
-    last: int
-
-
-class Extent(NamedTuple):
-    """Which part of a section is written."""
-
-    begin: PathPosition | None = None  # None: from the section's beginning
-    end: PathPosition | None = None  # None: to the section's end
-
-    def written(
-        self, plan: Trajectory, section: Section, settings: Settings, room: Room | None = None
-    ) -> WrittenReference:
-        """Lay the section's knots, one of them where the written part begins, and find those of the written part.
-
-        room : beyond the path; None: all that the settings allow
-        """
-        begin_t, end_t = (None if cut is None else cut.time_in(plan) for cut in self)
-        reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT), room)
-        first = 0 if begin_t is None else round(reference.knot_of(begin_t))
-        last = reference.knots if end_t is None else round(reference.knot_of(end_t))
-        return WrittenReference(reference, first, last)
-
-    def written_s(self, plan: Trajectory, begin_t: float) -> float:
-        """Return the duration of the written part, s, as far as it ends in motion; begin_t : of the first knot, s."""
-        begin, end = self
-        return (plan.end_t if end is None else end.time_in(plan)) - (begin_t if begin is None else begin.time_in(plan))
-
-    def near(self, plan: Trajectory, within_s: float) -> list[slice]:
-        """Find the moves that are executed within a time of the cuts."""
-        cuts = [each.time_in(plan) for each in self if each is not None]
-        return [slice(int(plan.move_at(t - within_s)), int(plan.move_at(t + within_s)) + 1) for t in cuts]
-
-
-WHOLE = Extent()
 
 
 def context_s(moves: Moves, plan: Trajectory) -> float:

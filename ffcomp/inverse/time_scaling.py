@@ -41,7 +41,7 @@ from ffcomp.inverse.command_limits import (
     utilisation_from_rest,
 )
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, WrittenReference, context_s
+from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, context_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
@@ -52,7 +52,7 @@ from gcode.program import Moves, Program
 from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray, IntArray
 
-Command = tuple[WrittenReference, Solution]  # of one plan
+Command = tuple[Reference, Solution]  # of one plan
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS, LOCAL_ROUNDS = 24, 8  # from the latter on, the moves around join in
@@ -171,7 +171,7 @@ class PlannedSection:
     program: Program  # whose moves the trajectory plans
     trajectory: Trajectory
     section: Section
-    written: WrittenReference  # the section's reference by this plan
+    reference: Reference  # the section's, by this plan
     state: FloatArray  # (18,) of the plant at the section's first knot
     replanner: Replanner  # plans as the trajectory was planned
     extent: Extent = WHOLE
@@ -197,38 +197,38 @@ class ScaledSection:
         self.plan = self.request.replanner.plan(self.moves, self.request.section.begin_t)
         self.section = Section(0, len(self.moves), True, self.request.section.begin_t, self.plan.end_t)
 
-    def solve(self, tolerance_mm: float, first: Command) -> tuple[WrittenReference, Solution]:
+    def solve(self, tolerance_mm: float, first: Command) -> Command:
         """Return the first feasible plan of a few rounds, and its command. first : of the original plan."""
         moves, plan = self.moves, self.plan
-        written, solution = self.scale(tolerance_mm, first)
+        reference, solution = self.scale(tolerance_mm, first)
         if self.reasons and self.extent.end is not None:
             if not self._fit():
                 self.moves, self.plan, self.reasons = moves, plan, {}
-            written, solution, violations = self._attempt(tolerance_mm, self._free())
-            solution = self._solved(written) if violations else solution
-        return written, solution
+            reference, solution, violations = self._attempt(tolerance_mm, self._free())
+            solution = self._solved(reference) if violations else solution
+        return reference, solution
 
-    def scale(self, tolerance_mm: float, first: Command | None = None) -> tuple[WrittenReference, Solution]:
+    def scale(self, tolerance_mm: float, first: Command | None = None) -> Command:
         """Do the same without regard to where the written part ends."""
         for number in range(ROUNDS):
-            written, solution, violations = self._attempt(tolerance_mm, first or self._free())
+            reference, solution, violations = self._attempt(tolerance_mm, first or self._free())
             first = None
             if not violations:
-                return written, solution
-            self._refuse_travel(written.reference, violations)
+                return reference, solution
+            self._refuse_travel(reference, violations)
             reach = max(number - LOCAL_ROUNDS, 0)
-            if not self._slow(written.reference, violations, reach):
+            if not self._slow(reference, violations, reach):
                 # the rest is near a cut: constrained, off the path; a warning states where a limit is still exceeded
-                return written, self._solved(written)
+                return reference, self._solved(reference)
             self._plan_again()
-        written, _, violations = self._attempt(tolerance_mm, self._free())
-        solution = self._solved(written)
+        reference, _, violations = self._attempt(tolerance_mm, self._free())
+        solution = self._solved(reference)
         if self.extent == WHOLE and solution.utilisation > 1.0 + SOLVER_ACCURACY:
-            line = self._line_of(written.reference, violations[0])
+            line = self._line_of(reference, violations[0])
             raise LimitsError(
                 f"{line}: cannot be slowed enough: the command still needs {solution.utilisation:.2f}× a limit."
             )
-        return written, solution
+        return reference, solution
 
     def _fit(self) -> bool:
         """Make the written part a whole number of segments by moves that are not near a cut; say whether they can."""
@@ -248,15 +248,15 @@ class ScaledSection:
 
     def _free(self) -> Command:
         """Solve on the plan as it stands, without limits."""
-        written = self.extent.written(self.plan, self.section, self.model.settings)
-        (offset,) = self.model.robust_offsets([written.reference])
-        written.reference.robust_offset = offset
+        reference = Reference(self.plan, self.section, self.model.settings, self.extent)
+        (offset,) = self.model.robust_offsets([reference])
+        reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
-            written.reference.calm(self._slower_segments(written.reference))
-        return written, self._solved(written, enforce_limits=False)
+            reference.calm(self._slower_segments(reference))
+        return reference, self._solved(reference, enforce_limits=False)
 
-    def _solved(self, written: WrittenReference, enforce_limits: bool = True) -> Solution:
-        return solve(self.model, written.reference, self.request.state, enforce_limits=enforce_limits)
+    def _solved(self, reference: Reference, enforce_limits: bool = True) -> Solution:
+        return solve(self.model, reference, self.request.state, enforce_limits=enforce_limits)
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
@@ -264,24 +264,25 @@ class ScaledSection:
         within = np.clip(t, self.section.begin_t, self.section.end_t - 1e-9)
         return np.isin(self.plan.move_at(within), list(self.reasons))
 
-    def _attempt(self, tolerance_mm: float, command: Command) -> tuple[WrittenReference, Solution, list[Violation]]:
+    def _attempt(self, tolerance_mm: float, command: Command) -> tuple[Reference, Solution, list[Violation]]:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
-        model, (written, solution) = self.model, command
+        model, (reference, solution) = self.model, command
+        begin, end = reference.written
         asked = utilisation_from_rest(solution.vertices, model.limits)
 
         def among(violations: Iterable[Violation]) -> list[Violation]:
-            return [each for each in violations if each.last >= written.first and each.first < written.last]
+            return [each for each in violations if each.last >= begin and each.first < end]
 
-        violations = among(path_violations(self._path_utilisation(written.reference), asked[1:-1]))
+        violations = among(path_violations(self._path_utilisation(reference), asked[1:-1]))
         if violations:
-            return written, solution, violations
-        whole = (written.first, written.last) == (0, written.reference.knots)
-        if not (asked if whole else asked[1:-1][written.first : written.last]).max() <= 1.0:  # nor if not a number
-            solution = self._solved(written)
+            return reference, solution, violations
+        whole = (begin, end) == (0, reference.knots)
+        if not (asked if whole else asked[1:-1][begin:end]).max() <= 1.0:  # nor if not a number
+            solution = self._solved(reference)
             violations = among(solution_violations(solution, asked[1:-1], tolerance_mm, model.limits))
-        late = late_segments(model, written, solution.vertices, self.plan.start_t[self._after_events])
+        late = late_segments(model, reference, solution.vertices, self.plan.start_t[self._after_events])
         timing = (Violation(*ends, TIMING, 0, 1.0, LATE_FACTOR) for ends in _ranges(widened(late, 1)))
-        return written, solution, violations + among(timing)
+        return reference, solution, violations + among(timing)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
         """Return the path's own utilisation (n, 3, 3), the largest for any phase of the knots.
@@ -422,7 +423,7 @@ def after_events(program: Program, first: int, last: int) -> IntArray:
 
 
 def late_segments(
-    model: InverseModel, written: WrittenReference, vertices: FloatArray, events: Iterable[float] = ()
+    model: InverseModel, reference: Reference, vertices: FloatArray, events: Iterable[float] = ()
 ) -> BoolArray:
     """Find the segments (n,) that the firmware cannot execute in their time, where that matters.
 
@@ -432,22 +433,22 @@ def late_segments(
     ----------
     events : times of the file's lines on the plan's clock, s: there the filament is that of the plan
     """
-    reference, around = written.reference, np.zeros(len(vertices) - 1, dtype=np.bool_)
+    around = np.zeros(len(vertices) - 1, dtype=np.bool_)
     reference.even_flow(vertices, None)
-    late = _late_segments(model, written, vertices)
-    fixed = [*events, *(reference.t0 + knot * model.settings.segment_s for knot in (written.first, written.last))]
+    late = _late_segments(model, reference, vertices)
+    fixed = [*events, *(reference.t0 + knot * model.settings.segment_s for knot in reference.written)]
     for _ in range(EVENED):
         if not late.any():
             return late
         around = around | late
         reference.even_flow(vertices, around, fixed)
-        late = _late_segments(model, written, vertices)
+        late = _late_segments(model, reference, vertices)
     return late
 
 
-def _late_segments(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
+def _late_segments(model: InverseModel, reference: Reference, vertices: FloatArray) -> BoolArray:
     s = model.settings
-    e, stay = written.reference.extrusion(), np.arange(len(vertices))
+    e, stay = reference.extrusion(), np.arange(len(vertices))
     even_wipes(e, vertices, stay % CUT == 0)
     if s.joins_lifts:
         stay = join_lifts(vertices, e, stay % CUT == 0).stay

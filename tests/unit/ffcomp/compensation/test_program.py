@@ -10,7 +10,7 @@ import pytest
 from ffcomp.compensation.net import fault_of, path_fault
 from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WHOLE
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
 from gcode.reader import read_program
@@ -27,7 +27,7 @@ def test_a_command_far_from_its_path_is_refused(off_mm: float, why: str) -> None
     machine = load_machine("mp-delta-pro")
     planned = plan_program(read_program(b"G1 X30 F3000\nG1 X30 Y4\n", start=START, flavor="klipper"), machine)
     model, section = InverseModel(machine, settings_for(machine)), planned.sections[0]
-    reference, moves = WHOLE.written(planned.trajectory, section, model.settings).reference, planned.program.moves
+    reference, moves = Reference(planned.trajectory, section, model.settings), planned.program.moves
     vertices = solve(model, reference, machine.equilibrium(np.array(START))).vertices
     found = fault_of(model, moves, reference, vertices - off_mm * BUMP[: len(vertices)])
     assert found.startswith(why) and bool(found) == bool(why)

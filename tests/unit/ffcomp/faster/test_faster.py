@@ -15,7 +15,7 @@ from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import FasterProgram, faster_program
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WHOLE
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
 from gcode.program import Program
@@ -68,10 +68,10 @@ def test_it_is_quicker_and_the_response_keeps_the_bound(squares: Program, model:
     quick = planned(found, model)
     assert quick.trajectory.end_t < 0.75 * found.plan.end_t
     (section,) = quick.sections
-    written = WHOLE.written(quick.trajectory, section, model.settings)
+    reference = Reference(quick.trajectory, section, model.settings)
     state = model.machine.equilibrium(squares.moves.start[0, :3])
-    solution = solve(model, written.reference, state, enforce_limits=False)
-    response, _ = model.respond(written.reference, model.executed(written.reference, solution.vertices), state)
+    solution = solve(model, reference, state, enforce_limits=False)
+    response, _ = model.respond(reference, model.executed(reference, solution.vertices), state)
     corners = np.vstack([squares.moves.start[:, :3], squares.moves.end[-1:, :3]])
     error = contour_error_in_order(corners, response)
     assert solution.utilisation <= 1.0

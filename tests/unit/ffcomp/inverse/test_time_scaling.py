@@ -15,7 +15,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, plan_program, plan_section
 from ffcomp.inverse.feasible import SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import WHOLE, Reference
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import LayerOf, PlannedSection, Replanner
@@ -65,12 +65,12 @@ def solved(
 ) -> SolvedSection:
     state, limits = machine.equilibrium(planned.trajectory.origin[run.first, :3]), planner_limits(machine)
     model = InverseModel(machine, replace(inverter.settings, **options)) if options else inverter
-    written = WHOLE.written(planned.trajectory, run, model.settings)
+    reference = Reference(planned.trajectory, run, model.settings)
     request = PlannedSection(
         program or planned.program,
         planned.trajectory,
         run,
-        written,
+        reference,
         state,
         Replanner(limits, replan or partial(plan_section, limits), layer_of),
     )
@@ -190,7 +190,7 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     plain = solve(inverter, wanted, machine.equilibrium(np.array(START)))
     assert behind_um(plain.vertices, wanted) > 10.0
     found = solved(inverter, planned, run, machine)
-    assert behind_um(found.solution.vertices, found.written.reference) <= 1.0
+    assert behind_um(found.solution.vertices, found.reference) <= 1.0
     (record,) = found.slowed
     assert (record.first_line, record.carriage) == (2, "")
     assert record.last_line in (2, 3)  # a segment may hold the end of the lift and the beginning of what follows
