@@ -176,18 +176,6 @@ class Gains:
     backward: Float32Array  # (g, 24 + rows + 3, 32): (s, ē, d) -> (s, ψ, nothing)
     forward: Float32Array  # (g, 24 + 3, 24): (z, ψ) -> z
 
-    def with_room(self, places: int) -> Gains:
-        """Return the same gains, with room for at least so many positions."""
-        if places <= len(self.backward):
-            return self
-        more = max(places, 2 * len(self.backward)) - len(self.backward)
-        return Gains(
-            *(
-                np.concatenate([each, np.zeros((more, *each.shape[1:]), np.float32)])
-                for each in (self.backward, self.forward)
-            )
-        )
-
 
 def augmented(states: int) -> int:
     """Return how many numbers z has for a plant of so many states."""
@@ -203,34 +191,35 @@ def no_gains(size: int, positions: int = 0) -> Gains:
 
 
 class PreviewGains:
-    """The gains of one machine over its bed, worked out for the nodes that a path comes by."""
+    """The gains of one machine over its bed, worked out for the nodes that a path comes by.
+
+    The arrays have room for every node; memory is taken where they are filled.
+    """
 
     def __init__(
         self, plant_at: PlantAt, states: int, reach_mm: float, rows_per_segment: int, control_weight: float
     ) -> None:
         self._plant_at, self._rows, self.control_weight = plant_at, rows_per_segment, control_weight
         self._half = int(np.ceil(reach_mm / PITCH_MM)) + (reach_mm > 0.0)
-        self._node = np.empty(0, dtype=np.int64)  # of each slot
-        self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
+        self._known = np.zeros((2 * self._half + 1) ** 2, dtype=np.bool_)  # of each node
         self.size = augmented(states)
-        self._steady = no_gains(self.size)
+        self._steady = no_gains(self.size, len(self._known))
         self.end = lru_cache(ENDS_KEPT)(self._end)
 
     def at(self, place: FloatArray) -> tuple[IntArray, Gains]:
-        """Which gains serve at places (n, 2) mm: numbers (n,) into those returned."""
+        """Which gains serve at places (n, 2) mm: nodes (n,), which count those returned."""
         i, j = np.clip(np.rint(place / PITCH_MM), -self._half, self._half).astype(np.int64).T + self._half
         node = i * (2 * self._half + 1) + j
-        slot = self._slot[node]
-        if slot.min(initial=0) < 0:
-            missing = np.unique(node[slot < 0])
+        known = self._known[node]
+        if not known.all():
+            missing = np.unique(node[~known])
             for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)):
                 p = self.segment_plant(some)
                 problem = p.problem(self.control_weight)
                 feedback, curvature = problem.feedback(problem.stationary_value())
                 preview = p.preview(curvature, self.control_weight)
                 self._add(some, _packed(p, feedback, preview, self.control_weight))
-            slot = self._slot[node]
-        return slot, self._steady
+        return node, self._steady
 
     def segment_plant(self, node: IntArray) -> SegmentPlant:
         """Return the problem that is solved at nodes (g,) of the grid."""
@@ -239,32 +228,28 @@ class PreviewGains:
         return _segment_plant(*self._plant_at(xy), self._rows)
 
     def _add(self, node: IntArray, gains: Gains) -> None:
-        known, now = len(self._node), len(self._node) + len(node)
-        self._node = np.concatenate([self._node, node])
-        self._steady = self._steady.with_room(now)
-        self._steady.backward[known:now], self._steady.forward[known:now] = gains.backward, gains.forward
-        self._slot[node] = np.arange(known, now)
+        self._steady.backward[node], self._steady.forward[node] = gains.backward, gains.forward
+        self._known[node] = True
 
     def __len__(self) -> int:
         """Places whose gains are known."""
-        return len(self._node)
+        return int(np.count_nonzero(self._known))
 
     def known(self) -> dict[str, NDArray[Any]]:
         """All gains so far, to be taken up again."""
-        n = len(self._node)
-        return {"node": self._node, "backward": self._steady.backward[:n], "forward": self._steady.forward[:n]}
+        node = np.flatnonzero(self._known)
+        return {"node": node, "backward": self._steady.backward[node], "forward": self._steady.forward[node]}
 
     def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
         """Gains of the same machine that somebody else has worked out."""
-        new = self._slot[known["node"]] < 0
-        self._add(known["node"][new], Gains(known["backward"][new], known["forward"][new]))
+        self._add(known["node"], Gains(known["backward"], known["forward"]))
 
-    def _end(self, slot: int) -> Gains:
-        """Return the gains of the last `TO_THE_END` intervals of a section that ends at a position, first to last.
+    def _end(self, node: int) -> Gains:
+        """Return the gains of the last `TO_THE_END` intervals of a section that ends at a node, first to last.
 
         The interval that ends the section has no choice left, nor have those after it: their gains are zero.
         """
-        at, n, states = self.segment_plant(self._node[slot : slot + 1]), TO_THE_END + REST_ROWS, self.size - 2 * AXES
+        at, n, states = self.segment_plant(np.array([node])), TO_THE_END + REST_ROWS, self.size - 2 * AXES
         p = SegmentPlant(at.a[0], at.b[0], at.c[0], at.d[0])
         feedback, preview = np.zeros((n, AXES, self.size)), np.zeros((n, AXES, self.size + 9))
         rests = feedback[TO_THE_END - 1 :]  # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}

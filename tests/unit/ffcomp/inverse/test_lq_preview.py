@@ -168,7 +168,7 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     knots, place = 30, np.array([[40.0, -30.0]])
     intervals = knots + REST_ROWS
     (slot,), _ = preview.at(place)
-    at = preview.segment_plant(preview.known()["node"][slot : slot + 1])
+    at = preview.segment_plant(np.array([slot]))
     problem = SegmentPlant(at.a[0], at.b[0], at.c[0], at.d[0])
     # γ of the knots 1 … knots-1 are free; z holds x and two coefficients
     free = 3 * (knots - 1)
