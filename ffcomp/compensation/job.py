@@ -24,7 +24,7 @@ from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import FileSize, Result
 from ffcomp.compensation.solve import replanner_of
 from ffcomp.compensation.statistics import Statistics
-from ffcomp.compensation.step_output import StepRenderer, StepStream
+from ffcomp.compensation.step_output import StepRenderer
 from ffcomp.compensation.text_stream import in_order, stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
@@ -42,7 +42,7 @@ from ffcomp.planner.trajectory import PathPosition
 from ffcomp.request import shared_with
 from ffcomp.simulation.expectation import Tuned
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
-from ffcomp.steps.motion import MotionSink
+from ffcomp.steps.motion import MotionSink, Sink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.container import Source, blocks_of, ends_of
@@ -100,7 +100,7 @@ class Job:
             sink = self._sink(target)
             stack.callback(sink.close)
             lines = Lines(self, progress)
-            for _ in lines.of(self.outputs(reach, StepStream(sink)), reach):
+            for _ in lines.of(self.outputs(reach, sink), reach):
                 pass  # steps are no text
             predicted = self.forecast(lines.statistics)
             totals = sink.finish()
@@ -147,7 +147,7 @@ class Job:
         blocks = blocks_of(self.source)
         return with_shaper_set(whole_lines(original_blocks(blocks) if self.restore else blocks), self.shaper, tuned)
 
-    def _sink(self, target: Path) -> StepSink | MotionSink:
+    def _sink(self, target: Path) -> Sink:
         kind = self.request.kind
         if kind == "host":  # whose own settings make the steps
             machine = {"name": self.machine.name, "sha256": self.machine.sha256}
@@ -247,7 +247,7 @@ class Job:
     def _footprint(self) -> Footprint | None:
         return footprint_of(self._programs(NOWHERE))
 
-    def outputs(self, reach: Reach, steps: StepStream | None = None) -> Iterator[Iterable[Output]]:
+    def outputs(self, reach: Reach, steps: Sink | None = None) -> Iterator[Iterable[Output]]:
         """Return the output of each chunk, part by part."""
         split, context = self._split(reach)
         if steps is not None or self.jobs == 1:
@@ -366,7 +366,7 @@ class Lines:
         self.statistics, self.size = self.statistics + Statistics(warnings=said), FileSize(int(done))
 
 
-def _rendered(chunk: Chunk, context: Context, steps: StepStream | None = None) -> Iterator[Output]:
+def _rendered(chunk: Chunk, context: Context, steps: Sink | None = None) -> Iterator[Output]:
     planned = plan_chunk(chunk, context)
     renderer = GcodeRenderer(planned, context) if steps is None else StepRenderer(steps, planned, context)
     yield from compensated_sections(planned, context, renderer)

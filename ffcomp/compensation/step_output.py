@@ -7,7 +7,6 @@ and where the plan rests, so do the motors. A line that is not a move gets the t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,37 +15,10 @@ from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
 from ffcomp.steps.crossings import knot_pieces, on_grid
-from ffcomp.steps.motion import MotionSink
-from ffcomp.steps.sink import StepSink
-from gcode.program import Event, EventKind, EventQueue, Program
+from ffcomp.steps.motion import Sink
+from gcode.program import Event, EventKind, EventQueue
 
 SAMPLE_S = 1e-3  # of moves of the extruder alone
-BEFORE_S = 0.1  # at rest before the first motion
-
-
-@dataclass
-class StepStream:
-    """The path of chunk after chunk on one clock."""
-
-    sink: StepSink | MotionSink  # makes steps of it, or keeps it
-    clock_s: float = BEFORE_S
-
-    def between(self, program: Program, events: Iterable[Event]) -> None:
-        """Give the lines that stand between sections to the sink, and wait where they wait."""
-        for event in events:
-            self._tell(program, event, self.clock_s)
-            self.clock_s += event.dwell_s
-        self.sink.rest(self.clock_s)
-
-    def within(self, program: Program, event: Event, since_s: float) -> None:
-        """Give a line inside a section to the sink, at its time since the section's first segment."""
-        self._tell(program, event, self.clock_s + since_s)
-
-    def _tell(self, program: Program, event: Event, t: float) -> None:
-        """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
-        self.sink.event(t, program.lines[event.line], still=event.kind is EventKind.PASS)
-        frame = program.frames[event.frame]
-        self.sink.factors(t, frame.feed_factor, frame.flow)
 
 
 class StepRenderer:
@@ -55,8 +27,8 @@ class StepRenderer:
     segments, late_s = 0, 0.0  # steps keep any time,
     written: Sequence[TimedSegments] = ()  # and follow the solved command
 
-    def __init__(self, stream: StepStream, chunk: PlannedChunk, context: Context) -> None:
-        self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
+    def __init__(self, sink: Sink, chunk: PlannedChunk, context: Context) -> None:
+        self._sink, self._planned, self._extent = sink, chunk.planned, chunk.chunk.extent
         self._kinematics = context.model.full_machine.kinematics
         self._segment_s = context.model.settings.segment_s
         self._events = EventQueue(chunk.planned.program.events)
@@ -79,9 +51,9 @@ class StepRenderer:
         position = on_grid(position)
         for event in self._events.up_to(section.last - 1):
             due_s = float(self._planned.trajectory.start_t[event.move]) - section.begin_t
-            self._stream.within(self._planned.program, event, due_s)
-        self._stream.sink.pieces(knot_pieces(self._stream.clock_s, spacing, position[:, :3], position[:, 3]))
-        self._stream.clock_s += lasts_s
+            self._tell(event, self._sink.clock_s + due_s)
+        self._sink.pieces(knot_pieces(self._sink.clock_s, spacing, position[:, :3], position[:, 3]))
+        self._sink.clock_s += lasts_s
         return ()
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
@@ -94,16 +66,16 @@ class StepRenderer:
         filament = reference.extrusion(first, last)
         if last == reference.knots:
             filament[-1] = moves.end[run.last - 1, 3]
-        stream, segment_s = self._stream, self._segment_s
+        sink, segment_s = self._sink, self._segment_s
         for event in self._events.up_to(run.last - 1):
             knot = reference.knot_of(float(solved.trajectory.start_t[event.move]))
             at = min(max(knot, 0.0), reference.knots)
             if at >= last < reference.knots:  # the next chunk's
                 break
             if at >= first:
-                stream.within(self._planned.program, event, segment_s * (at - first))
-        stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
-        stream.clock_s += segment_s * (last - first)
+                self._tell(event, sink.clock_s + segment_s * (at - first))
+        sink.pieces(knot_pieces(sink.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
+        sink.clock_s += segment_s * (last - first)
         return ()
 
     def finish(self) -> Iterable[bytes]:
@@ -114,7 +86,18 @@ class StepRenderer:
 
     def _tell_height(self, move: int) -> None:
         program = self._planned.program
-        self._stream.sink.height(program.frames[program.moves.frame[move]].z_known)
+        self._sink.height(program.frames[program.moves.frame[move]].z_known)
 
     def _between(self, move: int) -> None:
-        self._stream.between(self._planned.program, self._events.up_to(move))
+        """Give the lines that stand between sections to the sink, and wait where they wait."""
+        for event in self._events.up_to(move):
+            self._tell(event, self._sink.clock_s)
+            self._sink.clock_s += event.dwell_s
+        self._sink.rest(self._sink.clock_s)
+
+    def _tell(self, event: Event, t: float) -> None:
+        """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
+        program = self._planned.program
+        self._sink.event(t, program.lines[event.line], still=event.kind is EventKind.PASS)
+        frame = program.frames[event.frame]
+        self._sink.factors(t, frame.feed_factor, frame.flow)

@@ -24,7 +24,7 @@ from typing import Any, Self
 import numpy as np
 
 from ffcomp.steps.crossings import GRID_MM, Pieces
-from ffcomp.steps.sink import MotorTotal
+from ffcomp.steps.sink import BEFORE_S, MotorTotal, StepSink
 from gcode.atomic_write import replace_atomically
 from models.arrays import FloatArray, IntArray
 
@@ -147,6 +147,8 @@ class MotionSink:
     target : the file
     about : more of the header's keys
     """
+
+    clock_s = BEFORE_S  # of the path so far; whoever gives the path counts on
 
     def __init__(self, target: str | Path, about: Mapping[str, Any]) -> None:
         self._target, self._about = Path(target), about
@@ -300,3 +302,6 @@ class MotionSink:
     def close(self) -> None:
         """Discard the temporary files; `finish` does so itself."""
         self._body.close()
+
+
+Sink = StepSink | MotionSink

@@ -31,6 +31,7 @@ from models.machine import Machine
 
 WayArray = NDArray[np.int8]
 
+BEFORE_S = 0.1  # at rest before the first motion
 BLOCK_PIECES = 1024  # at a time: a few megabytes of steps
 JUMP_MM = 1e-3  # between two pieces: less than this is rounding
 OVERLAP_S = 1e-7
@@ -139,6 +140,8 @@ class StepSink:
         quarter of the way to its neighbours. 12.5 µs is a window as wide as Klipper's, which is 25 µs on one side.
         The archive says it, as `error_s`.
     """
+
+    clock_s = BEFORE_S  # of the path so far; whoever gives the path counts on
 
     def __init__(self, machine: Machine, board: Board, target: str | Path, error_s: float | None = None) -> None:
         if error_s is not None and not 0.0 <= error_s <= MOST_ERROR_S:

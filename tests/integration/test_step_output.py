@@ -10,9 +10,8 @@ import pytest
 
 from ffcomp.compensation.job import Job
 from ffcomp.compensation.result import Result
-from ffcomp.compensation.step_output import BEFORE_S
 from ffcomp.steps.archive import read_steps
-from ffcomp.steps.sink import Board
+from ffcomp.steps.sink import BEFORE_S, Board
 from gcode.reader import read_program
 from models.machine import Machine
 from tests.support.compensated import job
