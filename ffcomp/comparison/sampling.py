@@ -62,7 +62,7 @@ class PrintSlice:
 
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Due times (n + 1,) s of the path's corners, and the corners (n + 1, 3) mm."""
+        """Due times (2 n,) s of the path's corners, and the corners (2 n, 3) mm: a rest is one twice."""
         return path_corners(self.trajectory)
 
     @cached_property

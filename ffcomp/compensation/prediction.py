@@ -20,7 +20,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import build_track, contour_error, end_to_end, peaks, tracking
 from ffcomp.planner.segment_timing import TimedSegments
-from ffcomp.simulation.command import path_corners_with_rests
+from ffcomp.simulation.command import path_corners
 from ffcomp.simulation.expectation import EXCERPT_S, Piece, expectation, pieces_of_segments
 from ffcomp.simulation.forecast import WAYS, Forecast, failure
 from models.arrays import FloatArray
@@ -134,7 +134,7 @@ class Prediction:
         times = reference.t0 + self._step_s * np.arange(len(executed), dtype=np.float64)
         share = EXCERPT_S / LONGEST_S * max(self.share, 1.0)
         lot = GOLDEN * len(self.samples.sections) % 1.0
-        path = path_corners_with_rests(solved.trajectory)
+        path = path_corners(solved.trajectory)
         return pieces_of_segments(sliced, times, executed, path, share, lot)
 
     @property

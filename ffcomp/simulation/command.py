@@ -32,23 +32,16 @@ SAMPLE_S = 0.001
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencePath:
-    """The reference path, on its own plan's clock."""
-
-    position: OfTime  # where the nozzle should be at times of the command's clock
-    plan_time: Callable[[FloatArray], FloatArray]  # times of the command's clock on the plan's, (k,) s → (k,) s
-    corners: Callable[[float, float], tuple[FloatArray, FloatArray]]  # from, to (plan's clock) → (n,) s, (n, 3) mm
-
-
-@dataclass(frozen=True, eq=False)
 class CommandSection:
-    """A command from rest to rest during which nothing else moves the nozzle; it rests before and after."""
+    """A command from rest to rest during which nothing else moves the nozzle, and its path on a plan's clock."""
 
     begin_s: float
     end_s: float
     rows: Callable[[FloatArray, float], FloatArray]  # even times (k,) s and their step → (k, 3) mm, as executed
     actuators: OfTime  # the commanded actuator positions without microsteps, at any time
-    reference: ReferencePath
+    due: OfTime  # where the nozzle should be
+    plan_time: Callable[[FloatArray], FloatArray]  # times on the plan's clock, (k,) s → (k,) s
+    corners: Callable[[float, float], tuple[FloatArray, FloatArray]]  # from, to (plan's clock) → (n,) s, (n, 3) mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,12 +137,6 @@ def planned_motion(trajectory: Trajectory) -> Motion:
 
 
 def path_corners(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Return when each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
-    end = trajectory.position(np.array([trajectory.end_t]))
-    return np.append(trajectory.start_t, trajectory.end_t), np.vstack([trajectory.origin, end])[:, :3]
-
-
-def path_corners_with_rests(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Return when each straight move begins and ends (2 n,) s, and where (2 n, 3) mm: a rest is a corner twice.
 
     By rounding a move may end just after the next one begins; its corner is then both.
@@ -213,7 +200,7 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
 
 def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Trajectory) -> FloatArray:
     """Return when the plan is at each of the places (k, 3) mm, which lie on sections between these times (k,), s."""
-    path_t, path = path_corners_with_rests(plan)
+    path_t, path = path_corners(plan)
     low = np.searchsorted(path_t[1:], begin_t, side="right")
     high = np.maximum(np.searchsorted(path_t[:-1], end_t, side="left"), low + 1)
     segment, share = progress_in_order(path, places, low, high)

@@ -20,10 +20,8 @@ from ffcomp.shapers import Shaper
 from ffcomp.simulation.command import (
     Command,
     CommandSection,
-    OfTime,
-    ReferencePath,
     SectionClock,
-    path_corners_with_rests,
+    path_corners,
     reference_clock,
     resting,
     section_clock,
@@ -36,7 +34,6 @@ from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.kinematics.base import Kinematics
 from models.machine import Machine
 
 FILE_PLAN = "the planned path of the file itself"
@@ -115,7 +112,7 @@ def _section(
 ) -> CommandSection:
     kinematics = machine.kinematics.compiled()
     last = np.nextafter(end_s, -np.inf)  # at the end itself the next section may have begun
-    path_t, path = path_corners_with_rests(reference)
+    path_t, path = path_corners(reference)
 
     position = resting(lambda t: executed.position(t)[:, :3], begin_s, float(last), by_axis)
 
@@ -132,8 +129,7 @@ def _section(
         part = slice(max(int(np.searchsorted(path_t, from_s)) - 1, 0), int(np.searchsorted(path_t, to_s, "right")) + 1)
         return path_t[part], path[part]
 
-    path_of_section = ReferencePath(nozzle, plan_time, between)
-    return CommandSection(begin_s, end_s, lambda t, step_s: actuators(t), actuators, path_of_section)
+    return CommandSection(begin_s, end_s, lambda t, step_s: actuators(t), actuators, nozzle, plan_time, between)
 
 
 REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
@@ -190,6 +186,7 @@ def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str 
         machine.kinematics.forward(np.array([[each.start_mm for each in carriages]]) @ back)
     except UnreachableError as error:
         raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
+    kinematics = machine.kinematics.compiled()
     begin_s = max(min(float(t[0]) for t in moving) - LEAD_S, 0.0)
     end_s = max(float(t[-1]) for t in moving) + AT_REST_S
 
@@ -199,18 +196,12 @@ def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str 
     def commanded(t: FloatArray) -> FloatArray:
         return np.column_stack([smoothed(each, t) for each in carriages]) @ back
 
-    reference = _reference(commanded, machine.kinematics)
-    return Command([CommandSection(begin_s, end_s, rows, commanded, reference)], "linear", REFERENCE)
-
-
-def _reference(commanded: OfTime, kinematics: Kinematics) -> ReferencePath:
-    compiled = kinematics.compiled()
-
     def nozzle(t: FloatArray) -> FloatArray:
-        return compiled.forward(commanded(t))
+        return kinematics.forward(commanded(t))
 
-    def path(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
+    def corners(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
         t = np.linspace(from_s, to_s, int(np.ceil((to_s - from_s) / PATH_SAMPLE_S)) + 1)
         return t, nozzle(t)
 
-    return ReferencePath(nozzle, lambda t: t, path)
+    section = CommandSection(begin_s, end_s, rows, commanded, nozzle, lambda t: t, corners)
+    return Command([section], "linear", REFERENCE)

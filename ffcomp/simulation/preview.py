@@ -17,7 +17,7 @@ from ffcomp.simulation.command import (
     Motion,
     command_peaks,
     motion_of,
-    path_corners_with_rests,
+    path_corners,
     planned_motion,
 )
 from ffcomp.simulation.command_files import read_compensated
@@ -104,7 +104,7 @@ def preview(data: bytes, path: str, machine: Machine) -> Preview:
     if both is None:
         raise GcodeError("The file is not compensated.", path=path)
     original, reference, executed = both.original.program, both.original.trajectory, both.written.trajectory
-    path_t, corners = path_corners_with_rests(reference)
+    path_t, corners = path_corners(reference)
     playback = LinearPlayback(design_machine(machine)[0])
     before_t, before = simulate_linear(playback, reference)
     after_t, after = simulate_linear(playback, executed, both.by_axis)

@@ -82,12 +82,12 @@ class Evaluator:
         contours: list[FloatArray] = []
         for section, parts in self._parts.items():
             t, nozzle = (np.concatenate(part) for part in zip(*parts, strict=True))
-            plan_t = section.reference.plan_time(t)
-            corners = section.reference.corners(float(plan_t[0]), float(plan_t[-1]))
+            plan_t = section.plan_time(t)
+            corners = section.corners(float(plan_t[0]), float(plan_t[-1]))
             times.append(t)
             nozzles.append(nozzle)
             contours.append(contour_error(*corners, plan_t, nozzle))
-        references = [each.reference.position(t) for each, t in zip(self._parts, times, strict=True)]
+        references = [each.due(t) for each, t in zip(self._parts, times, strict=True)]
         spans = [(float(t[0]), float(t[-1])) for t in times]
         peaks = [command_peaks(each.actuators, *span) for each, span in zip(self._parts, spans, strict=True)]
         speeds, accelerations = zip(*peaks, strict=True)

@@ -15,7 +15,7 @@ from ffcomp.compensation.result import CompensatedFile
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.metrics import contour_error
-from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
+from ffcomp.simulation.command import path_corners, section_starts
 from gcode.dialect import KLIPPER, MARLIN
 from gcode.embedded import original
 from gcode.program import Program
@@ -93,7 +93,7 @@ def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machi
     ends = [np.diff(read_program(text, flavor=KLIPPER).moves.end[:, 3]).sum() for text in (several, whole)]
     assert ends[0] == pytest.approx(ends[1], abs=1e-3)
     both = plan_program(read_program(several), machine), plan_program(read_program(whole), machine)
-    path_t, path = path_corners_with_rests(both[1].trajectory)
+    path_t, path = path_corners(both[1].trajectory)
     t = np.linspace(1.0, both[0].trajectory.end_t - 1.0, 20_000)
     off = contour_error(path_t, path, t, both[0].trajectory.position(t)[:, :3])
     assert off.max() < 1.5e-3  # mm: segments are joined where they stay this near to what was solved
