@@ -144,10 +144,9 @@ def show(request: ShowRequest) -> Result:
         f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
         f"ffcomp v{__version__}"
     )
-    if target is not None and (original := seen.original) is not None:
-        of_original = request.preview_of == "original"
-        curve = (seen.before, original.before_due) if of_original else (seen.after, original.after_due)
-        replace_atomically(target, gcode_preview(original, *curve, find_offset(data[:STAMP_REACH])))
+    if target is not None:
+        curve = seen.before if request.preview_of == "original" else seen.after
+        replace_atomically(target, gcode_preview(seen.original, curve, find_offset(data[:STAMP_REACH])))
     picture = request.output or file.with_name(file.name + ".png")
     predicted, kept = forecast_in(data[-STAMP_REACH:], stamp, machine, lambda: seen.forecast(machine))
     figure = show_figure(seen, predicted, f"{file.name} on {machine.name}", footer, request.z_mm)

@@ -12,11 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ffcomp.simulation.preview import Curve, Original
+from ffcomp.firmware.program import PlannedProgram
+from ffcomp.simulation.preview import Curve
 from gcode.dialects import detect_slicer
 from gcode.layers import begins_feature
 from gcode.program import Event, EventQueue, Program
-from models.arrays import FloatArray, IntArray
+from models.arrays import IntArray
 
 EDGES_UM = (5.0, 15.0, 50.0, 150.0)  # between the levels; a line is some 400 wide
 PIECE_MM = 1.0  # a move is cut no finer
@@ -40,20 +41,17 @@ class Levels:
     level: IntArray  # (pieces,) 0 to len(EDGES_UM)
 
 
-def gcode_preview(
-    original: Original, curve: Curve, due: FloatArray, offset: tuple[float, float] = (0.0, 0.0)
-) -> Iterator[bytes]:
+def gcode_preview(original: PlannedProgram, curve: Curve, offset: tuple[float, float] = (0.0, 0.0)) -> Iterator[bytes]:
     """Yield the lines of the preview: the original's moves in the colours of a curve's error.
 
     Parameters
     ----------
-    due : (m,) s, when the original's plan is at the reference of each sample of the curve
     offset : shift of the print, mm: the preview is at the slicer's position
     """
     program = original.program
     slicer = detect_slicer(program.lines)
     names = [_MARKS.get(slicer, ";TYPE:") + name for name in _NAMES.get(slicer, _PRUSA)]
-    levels, queue = error_levels(original, curve, due), EventQueue(program.events)
+    levels, queue = error_levels(original, curve), EventQueue(program.events)
     comments = _comments(program, queue.up_to(0))
     yield next(comments, b"; ffcomp\n")  # viewers know the slicer by the first line
     yield NOT_FOR_PRINTING
@@ -71,7 +69,7 @@ def gcode_preview(
     yield from _comments(program, queue.up_to(len(program.moves)))
 
 
-def error_levels(original: Original, curve: Curve, due: FloatArray) -> Levels:
+def error_levels(original: PlannedProgram, curve: Curve) -> Levels:
     """Find the largest error on each piece of each move."""
     moves = original.program.moves
     start, way = moves.start[:, :3], moves.end[:, :3] - moves.start[:, :3]
@@ -79,7 +77,7 @@ def error_levels(original: Original, curve: Curve, due: FloatArray) -> Levels:
     extrudes = (moves.end[:, 3] > moves.start[:, 3]) & (length > 0.0)
     count = np.where(extrudes, np.clip(np.ceil(length / PIECE_MM), 1, MOST_PIECES), 1).astype(np.int64)
     first = np.cumsum(count) - count
-    move = np.clip(original.plan.move_at(due), 0, len(moves) - 1)
+    move = np.clip(original.trajectory.move_at(curve.due), 0, len(moves) - 1)
     along = ((curve.reference - start[move]) * way[move]).sum(axis=1) / np.maximum(length[move] ** 2, 1e-12)
     piece = first[move] + np.minimum(np.clip(along, 0.0, 1.0) * count[move], count[move] - 1).astype(np.int64)
     worst = np.full(int(count.sum()), -1.0)

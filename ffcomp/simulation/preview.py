@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.firmware.program import PlannedProgram
 from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.planner.trajectory import Trajectory
+from ffcomp.shapers import Shaper
 from ffcomp.simulation.command import (
     Motion,
     command_peaks,
@@ -24,7 +26,6 @@ from ffcomp.simulation.command_files import read_compensated
 from ffcomp.simulation.expectation import Piece, expectation, pieces_of
 from ffcomp.simulation.forecast import WAYS, Forecast
 from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
-from gcode.dialect import KLIPPER
 from gcode.errors import GcodeError
 from gcode.layers import labels, outer_walls
 from gcode.program import Program
@@ -40,6 +41,7 @@ class Curve:
     """One simulated motion of the nozzle."""
 
     t: FloatArray  # (m,) s on its own plan's clock
+    due: FloatArray  # (m,) s on the original plan's clock, when it is at the reference
     nozzle: FloatArray  # (m, 3) mm
     reference: FloatArray  # (m, 3) mm, where the path is at that time
     contour: FloatArray  # (m,) mm, distance to the path
@@ -64,31 +66,18 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Original:
-    """The original within reach, and when its plan is at the references of both curves."""
-
-    program: Program
-    plan: Trajectory
-    before_due: FloatArray  # (m,) s on the original plan's clock, for each sample of `before`
-    after_due: FloatArray  # the same of `after`
-
-
-@dataclass(frozen=True, slots=True)
 class Preview:
     """Both prints on the design model."""
 
-    path: FloatArray  # (n, 3) mm, corners of the reference path
-    path_t: FloatArray  # (n,) s on the original plan's clock
     before: Curve
     after: Curve
-    original: Original | None = None
+    original: PlannedProgram  # within reach
     pieces: Sequence[Piece] = ()  # of both prints; none where something else moves the nozzle
-    flavor: str = KLIPPER  # the firmware that plans them
 
     def forecast(self, machine: Machine) -> Forecast:
         """Evaluate both prints of a file that keeps no forecast."""
         tracks = dict(zip(WAYS, (self.before.track, self.after.track), strict=True))
-        expected = expectation(machine, self.pieces, self.flavor)
+        expected = expectation(machine, self.pieces, self.original.program.flavor)
         return Forecast(tracks, self.before.track.print_time_s, expected=expected)
 
 
@@ -103,35 +92,21 @@ def preview(data: bytes, path: str, machine: Machine) -> Preview:
     both = read_compensated(data, path, machine)
     if both is None:
         raise GcodeError("The file is not compensated.", path=path)
-    original, reference, executed = both.original.program, both.original.trajectory, both.written.trajectory
-    path_t, corners = path_corners(reference)
-    playback = LinearPlayback(design_machine(machine)[0])
-    before_t, before = simulate_linear(playback, reference)
-    after_t, after = simulate_linear(playback, executed, both.by_axis)
-    before_reference = reference.position(before_t)[:, :3]
-    after_due = both.clock.plan_time(after_t)
-    after_reference = reference.position(after_due)[:, :3]
-    kinds = _kinds(original, reference)
-    motions = planned_motion(reference), motion_of(executed, both.clock, both.by_axis)
-    peaks = [_peak(machine, *each) for each in zip(motions, (reference, executed), strict=True)]
-    of_before, of_after = (
-        contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after))
-    )
-    return Preview(
-        corners,
-        path_t,
-        Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
-        Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
-        Original(original, reference, before_t, after_due),
-        pieces_of(*motions, (path_t, corners)),
-        original.flavor,
-    )
+    plan, kinds = both.original.trajectory, _kinds(both.original.program, both.original.trajectory)
+    corners, playback = path_corners(plan), LinearPlayback(design_machine(machine)[0])
 
+    def curve(motion: Motion, executed: Trajectory, by_axis: Sequence[Shaper] = ()) -> Curve:
+        t, nozzle = simulate_linear(playback, executed, by_axis)
+        due, actuators = motion.clock.plan_time(t), motion.actuators(machine)
+        # jumps by others are left out
+        peak = max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(executed))
+        contour = contour_error(*corners, due, nozzle)
+        return Curve(t, due, nozzle, plan.position(due)[:, :3], contour, *kinds(due), peak)
 
-def _peak(machine: Machine, motion: Motion, plan: Trajectory) -> float:
-    """Return the largest acceleration of a carriage's command, mm/s²; jumps by others are left out."""
-    actuators = motion.actuators(machine)
-    return max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(plan))
+    executed = both.written.trajectory
+    before, after = planned_motion(plan), motion_of(executed, both.clock, both.by_axis)
+    curves = curve(before, plan), curve(after, executed, both.by_axis)
+    return Preview(*curves, both.original, pieces_of(before, after, corners))
 
 
 def _kinds(program: Program, plan: Trajectory) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
