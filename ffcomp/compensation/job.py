@@ -41,7 +41,7 @@ from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.request import shared_with
 from ffcomp.simulation.expectation import Tuned
-from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
+from ffcomp.simulation.forecast import NO_FORECAST, Forecast, failure
 from ffcomp.steps.motion import MotionSink, Sink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
@@ -131,9 +131,12 @@ class Job:
         return replace(result, statistics=statistics, embedded=True, robust=AS_SLICED, shaper=shaper)
 
     def forecast(self, statistics: Statistics) -> Forecast:
-        """Evaluate the sections that were sampled for the prediction."""
+        """Evaluate the sections that were sampled for the prediction; an error never stops the print."""
         samples = statistics.predicted
-        return NO_FORECAST if samples is None else forecast(lambda: samples.forecast(self.machine, self.flavor))
+        try:
+            return NO_FORECAST if samples is None else samples.forecast(self.machine, self.flavor)
+        except Exception as error:
+            return Forecast(failed=failure(error))
 
     @property
     def may_shape(self) -> bool:

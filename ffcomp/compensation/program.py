@@ -48,18 +48,11 @@ def compensated_sections(
     prediction = Prediction(model, context.share, context.flavor) if chunk.simulated else None
     yield Output((), chunk.statistics, 0.0)
     end_t = planned.trajectory.end_t or 1.0
-    for section, solved in solutions(
-        planned,
-        model,
-        layers_before=chunk.chunk.layers,
-        extent=extent,
-    ):
+    for section, solved in solutions(planned, model, chunk.chunk.layers, extent):
         text, statistics = [*renderer.before(section)], Statistics()
-        if solved is None:
+        if solved is None or solved.fault:
             text += renderer.sliced(section)
-        elif solved.fault:
-            text += renderer.sliced(section)
-            statistics = of_unsafe(section, planned, solved.fault)
+            statistics = statistics if solved is None else of_unsafe(section, planned, solved.fault)
         else:
             text += renderer.section(section, solved)
             statistics = of_section(section, solved, planned, extent, model)

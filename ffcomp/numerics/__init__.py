@@ -1,1 +1,1 @@
-"""Least squares, signals moved in time, the one serialiser, stages of long work, and folders of caches."""
+"""Signals moved in time, the one serialiser, stages of long work, and folders of caches."""

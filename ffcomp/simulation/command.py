@@ -211,8 +211,3 @@ def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Traje
         before = np.linalg.norm(plan.position(middle_t)[:, :3] - begin, axis=1) < share * length
         begin_t, end_t = np.where(before, middle_t, begin_t), np.where(before, end_t, middle_t)
     return np.asarray(0.5 * (begin_t + end_t))
-
-
-def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
-    """Align a planned compensated file with its planned original, section by section."""
-    return section_starts(compensated.program, original).clock(compensated.trajectory.start_t)

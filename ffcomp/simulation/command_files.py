@@ -24,7 +24,7 @@ from ffcomp.simulation.command import (
     path_corners,
     reference_clock,
     resting,
-    section_clock,
+    section_starts,
 )
 from ffcomp.simulation.expectation import Tuned
 from ffcomp.simulation.linear import continuous_intervals
@@ -79,7 +79,8 @@ def read_compensated(data: bytes, path: str, machine: Machine, flavor: str = "")
     written, planned = (plan_program(within_reach(each, machine.kinematics), machine) for each in (program, sliced))
     if (shaper := find_shaper(head)) is not None:
         return CompensatedPrint(written, planned, reference_clock(planned.trajectory), Tuned(*shaper).by_axis())
-    return CompensatedPrint(written, planned, section_clock(written, planned))
+    clock = section_starts(written.program, planned).clock(written.trajectory.start_t)
+    return CompensatedPrint(written, planned, clock)
 
 
 def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:

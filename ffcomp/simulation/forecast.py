@@ -101,14 +101,6 @@ def stored_forecast(tail: bytes, machine: Machine) -> Forecast | None:
         return None
 
 
-def forecast(predict: Callable[[], Forecast]) -> Forecast:
-    """Predict; an error is reported in the forecast and never stops the print."""
-    try:
-        return predict()
-    except Exception as error:
-        return Forecast(failed=failure(error))
-
-
 def failure(error: Exception) -> str:
     """Say that a prediction has failed, and why."""
     why = f"{type(error).__name__}: {error}".rstrip(".")
