@@ -55,7 +55,7 @@ def compensated_sections(
             statistics = statistics if solved is None else of_unsafe(section, planned, solved.fault)
         else:
             text += renderer.section(section, solved)
-            statistics = of_section(section, solved, planned, extent, model)
+            statistics = of_section(section, solved, planned, model)
             if prediction is not None:
                 prediction.add(solved, renderer.written)
         yield Output(text, statistics, min(section.end_t / end_t, 1.0) * size)

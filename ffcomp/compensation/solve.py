@@ -51,10 +51,7 @@ def replanner_of(program: Program, machine: Machine, layers_before: int) -> Repl
 
 
 def solutions(
-    planned: PlannedProgram,
-    model: InverseModel,
-    layers_before: int = 0,
-    extent: Extent = WHOLE,
+    planned: PlannedProgram, model: InverseModel, layers_before: int = 0, extent: Extent = WHOLE
 ) -> Iterator[tuple[Section, SolvedSection | None]]:
     """Yield the sections in order, each with its solution, or None where only filament moves.
 
@@ -76,18 +73,13 @@ def solutions(
         from ffcomp.inverse.nonlinear import correct_sections
 
         corrected = correct_sections(model, model.printer, list(travelling))
-        wholes = (WHOLE if each.reference.written == (0, each.reference.knots) else extent for each in corrected)
-        checked = zip(corrected, wholes, strict=True)
-        travelling = (_checked(each, planned, model, part) for each, part in checked)
+        travelling = (_checked(each, planned, model) for each in corrected)
     for section in planned.sections:
         yield section, next(travelling) if section.travels else None
 
 
 def _linear(
-    planned: PlannedProgram,
-    model: InverseModel,
-    layers_before: int,
-    extent: Extent,
+    planned: PlannedProgram, model: InverseModel, layers_before: int, extent: Extent
 ) -> Iterator[SolvedSection]:
     """Solve each section linearly."""
     program, trajectory, settings, machine = planned.program, planned.trajectory, model.settings, model.full_machine
@@ -97,7 +89,7 @@ def _linear(
     # robust offsets of many sections together cost half of what they do one by one
     laid = [Reference(trajectory, section, settings, part) for part, section in zip(parts, travels, strict=True)]
     offsets, later, before = model.robust_offsets(laid), 0.0, None
-    for section, part, reference, offset in zip(travels, parts, laid, offsets, strict=True):
+    for section, reference, offset in zip(travels, laid, offsets, strict=True):
         start = trajectory.origin[section.first, :3]
         if before is None or moved[section.first] or not before.is_at(start):
             state, rest = machine.equilibrium(start), None
@@ -106,30 +98,30 @@ def _linear(
             state = model.state_after_rest(before.state, start, rest)
         if later:
             section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
-            reference = Reference(trajectory, section, settings, part)
+            reference = Reference(trajectory, section, settings, reference.extent)
         if reference.knots * settings.rows_per_segment == len(offset):
             reference.robust_offset = offset
         if settings.slowing.slow:
-            request = PlannedSection(program, trajectory, section, reference, state, replanner, part)
+            request = PlannedSection(program, trajectory, section, reference, state, replanner)
             solved = solve_feasible(model, request)
         else:
             solved = SolvedSection(trajectory, section, reference, solve(model, reference, state))
         solved = replace(solved, rest_s=rest)
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
-        solved = _checked(solved, planned, model, part)
+        solved = _checked(solved, planned, model)
         if not solved.fault:
             trajectory, later = solved.trajectory, later + solved.lost_s
         yield solved
         before = None if solved.fault else Resting.after(solved, planned)
 
 
-def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel, extent: Extent) -> SolvedSection:
+def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel) -> SolvedSection:
     """Check a section against its plan (`net`); one that is cut in motion cannot keep its original lines: refuse it."""
     if solved.fault:
         return solved
     reference, vertices = solved.reference, solved.solution.vertices
-    if extent == WHOLE:
+    if reference.extent == WHOLE:
         moves = some(planned.program.moves, slice(solved.section.first, solved.section.last))
         return replace(solved, fault=fault_of(model, moves, reference, vertices))
     if why := path_fault(model, reference, vertices, reference.written):

@@ -214,14 +214,11 @@ def of_raw(events: Iterable[Event], seconds: Mapping[int, float]) -> Statistics:
     return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
 
 
-def of_section(
-    section: Section, solved: SolvedSection, planned: PlannedProgram, extent: Extent, model: InverseModel
-) -> Statistics:
+def of_section(section: Section, solved: SolvedSection, planned: PlannedProgram, model: InverseModel) -> Statistics:
     """Count a solved section, which lasts longer than it was planned."""
-    begin, end = solved.reference.written
+    (begin, end), (cut, until) = solved.reference.written, solved.reference.extent
     longer_s = (end - begin) * model.settings.segment_s
-    if extent.end is None:  # less what its plan has counted
-        cut = extent.begin if section is planned.sections[0] else None
+    if until is None:  # less what its plan has counted
         longer_s -= section.end_t - (section.begin_t if cut is None else cut.time_in(planned.trajectory))
     result = solved.solution
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > UTILISATION_TOLERANCE else ()

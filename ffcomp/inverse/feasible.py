@@ -89,7 +89,7 @@ def _layouts(model: InverseModel, request: PlannedSection) -> Iterator[tuple[Ref
     Without gentle ends a peak of acceleration was 2.3 times as high. With all of the time, they are not required.
     """
     section, own = request.section, request.reference
-    if request.extent == WHOLE:
+    if request.reference.extent == WHOLE:
         flows = bool((np.diff(own.extrusion()) > FLOWS_MM).any())
         for room_s in rooms_of(section, model.settings, flows):
             reference = Reference(request.trajectory, section, model.settings, room_s=room_s)
@@ -107,7 +107,7 @@ def _within_limits(model: InverseModel, request: PlannedSection, command: Comman
     reference, solution = command
     offset = reference.robust_offset
     events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
-    rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
+    rounds = CALMED if request.reference.extent == WHOLE and offset is not None and len(offset) else 0
     for left in reversed(range(rounds + 1)):
         beyond = _beyond(model, reference, solution, gentle, events)
         if not beyond[slice(*reference.written)].any():
@@ -171,7 +171,7 @@ def scale_around_cut(
     state = model.machine.equilibrium(moves.start[0, :3])
     section = Section(0, len(moves), True, 0.0, plan.end_t)
     reference = Reference(plan, section, model.settings, middle)
-    request = PlannedSection(program, plan, section, reference, state, replanner, middle)
+    request = PlannedSection(program, plan, section, reference, state, replanner)
     scaled = ScaledSection(model, request, fixed=~inner)
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()

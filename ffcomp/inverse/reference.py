@@ -106,10 +106,10 @@ class Reference:
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps = settings.substeps
-        self.written = (  # between these knots the command is written
-            0 if begin_t is None else round(self.knot_of(begin_t)),
-            self.knots if end_t is None else round(self.knot_of(end_t)),
-        )
+        self.extent = extent
+        # the command is written between these knots
+        first = 0 if begin_t is None else round(self.knot_of(begin_t))
+        self.written = first, self.knots if end_t is None else round(self.knot_of(end_t))
 
     def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
         """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""

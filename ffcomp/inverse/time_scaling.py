@@ -41,7 +41,7 @@ from ffcomp.inverse.command_limits import (
     utilisation_from_rest,
 )
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, context_s
+from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Reference, context_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
@@ -174,7 +174,6 @@ class PlannedSection:
     reference: Reference  # the section's, by this plan
     state: FloatArray  # (18,) of the plant at the section's first knot
     replanner: Replanner  # plans as the trajectory was planned
-    extent: Extent = WHOLE
 
 
 class ScaledSection:
@@ -182,7 +181,7 @@ class ScaledSection:
 
     def __init__(self, model: InverseModel, request: PlannedSection, fixed: BoolArray | None = None) -> None:
         """Plan the section; fixed : (n,) the moves that keep their speed; None: those near the section's cuts."""
-        self.model, self.request, self.program, self.extent = model, request, request.program, request.extent
+        self.model, self.request, self.program, self.extent = model, request, request.program, request.reference.extent
         self.reasons: dict[int, Violation] = {}  # move → why it became slower at first
         first, last = request.section.first, request.section.last
         self.moves = some(self.program.moves, slice(first, last))
