@@ -48,7 +48,7 @@ class Chunk:
     extent: Extent = WHOLE  # the part of it that is written
     slowed: tuple[TimeScaling, ...] = ()  # moves that were slowed down so that its end could be cut
     cuts: int = 0  # in motion, before it
-    feature: str = UNNAMED  # printed at its beginning
+    feature: str = UNNAMED  # printed at its beginning, by the last comment before it
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +63,7 @@ class Splitting:
 
 
 def split_chunks(parts: Iterable[Program], splitting: Splitting) -> Iterator[Chunk]:
-    """Split a file's consecutive programs at other places; the remainder of one is joined to the next.
-
-    Each chunk holds the feature at its beginning, from the last comment before it.
-    """
-    feature = UNNAMED
-    for chunk in _split(parts, splitting):
-        yield replace(chunk, feature=feature)
-        feature = last_feature(chunk.program) or feature
-
-
-def _split(parts: Iterable[Program], splitting: Splitting) -> Iterator[Chunk]:
+    """Split a file's consecutive programs at other places; the remainder of one is joined to the next."""
     ahead: Chunk | None = None
     for program in parts:
         ahead = Chunk(program) if ahead is None else replace(ahead, program=join(ahead.program, program))
@@ -150,8 +140,9 @@ class _Known:
     def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
         ahead, plan = self.ahead, self.plan.part(move)
         head, tail = split(ahead.program, move)
-        layers = ahead.layers + len(layer_starts(head))
-        left = Chunk(tail, _to_return(head), limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
+        limits, layers = limits_in_effect(head, ahead.limits), ahead.layers + len(layer_starts(head))
+        feature = last_feature(head) or ahead.feature
+        left = Chunk(tail, _to_return(head), limits, layers, cuts=ahead.cuts, feature=feature)
         begin_t = float(plan.start_t[0]) - self.splitting.lead_s
         return replace(ahead, program=head), _Known(left, plan, begin_t, self.splitting)
 
@@ -177,7 +168,8 @@ class _Known:
         place, (first, tail, begin, layers) = self._position(knots), self._from_before(knots)
         limits = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.limits)
         tail = replace(tail, warnings=[])
-        left = Chunk(tail, limits=limits, layers=layers, extent=Extent(begin), cuts=ahead.cuts + 1)
+        feature = (last_feature(excerpt(ahead.program, 0, first)) if first else "") or ahead.feature
+        left = Chunk(tail, False, limits, layers, Extent(begin), cuts=ahead.cuts + 1, feature=feature)
         written = _until(ahead.program, plan, t + self._around_s, rest)
         chunk = replace(ahead, program=written, extent=Extent(ahead.extent.begin, place))
         return chunk, _Known(left, plan.part(first), t, self.splitting)
