@@ -15,7 +15,6 @@ import numpy as np
 from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.trajectory import Trajectory
 from ffcomp.shapers import Shaper
 from ffcomp.simulation.command import (
     Command,
@@ -52,24 +51,50 @@ def read_gcode(
     flavor : "" for what a compensated file says, the machine file, or else the file
     """
     if (both := read_compensated(data, path, machine, flavor)) is not None:
-        plans, reference = (both.written.trajectory, both.original.trajectory), UNSHAPED if both.by_axis else ORIGINAL
-        return _command(*plans, both.clock, machine, reference, both.by_axis), both.written.program
+        return both.command(machine), both.written.program
     firmware = known_to_the_firmware(machine)
     program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None, **firmware)
     return gcode_command(plan_program(within_reach(program, machine.kinematics), machine), machine), program
 
 
 @dataclass(frozen=True, slots=True)
-class CompensatedPrint:
-    """A compensated file and its original, both as the firmware plans them, and how they align."""
+class PlannedPrint:
+    """A file and its original, both as the firmware plans them, and how they align."""
 
     written: PlannedProgram
     original: PlannedProgram
     clock: SectionClock
+    reference: str = ORIGINAL  # a sentence: the path that it is evaluated against
     by_axis: Sequence[Shaper] = ()  # of the firmware, where the file is the print as sliced
 
+    def command(self, machine: Machine) -> Command:
+        """Return the file as a command, evaluated against the path of the original."""
+        executed, plan = self.written.trajectory, self.original.trajectory
+        kinematics, (path_t, path) = machine.kinematics.compiled(), path_corners(plan)
 
-def read_compensated(data: bytes, path: str, machine: Machine, flavor: str = "") -> CompensatedPrint | None:
+        def corners(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
+            first, last = max(int(np.searchsorted(path_t, from_s)) - 1, 0), int(np.searchsorted(path_t, to_s, "right"))
+            return path_t[first : last + 1], path[first : last + 1]
+
+        def section(begin_s: float, end_s: float) -> CommandSection:
+            last = float(np.nextafter(end_s, -np.inf))  # at the end itself the next section may have begun
+            position = resting(lambda t: executed.position(t)[:, :3], begin_s, last, self.by_axis)
+
+            def actuators(t: FloatArray) -> FloatArray:
+                return kinematics.inverse(np.ascontiguousarray(position(t)))
+
+            def plan_time(t: FloatArray) -> FloatArray:
+                return self.clock.plan_time(np.clip(t, begin_s, last))
+
+            def due(t: FloatArray) -> FloatArray:
+                return np.ascontiguousarray(plan.position(plan_time(t))[:, :3])
+
+            return CommandSection(begin_s, end_s, lambda t, step_s: actuators(t), actuators, due, plan_time, corners)
+
+        return Command([section(*each) for each in continuous_intervals(executed)], "cubic", self.reference)
+
+
+def read_compensated(data: bytes, path: str, machine: Machine, flavor: str = "") -> PlannedPrint | None:
     """Read a compensated file with the original that its comments keep; None: it has no stamp. flavor : "": its own."""
     if (stamp := already_processed(data)) is None:
         return None
@@ -78,59 +103,15 @@ def read_compensated(data: bytes, path: str, machine: Machine, flavor: str = "")
     sliced = read_program(original(data), path, offset_mm=find_offset(head), **known)
     written, planned = (plan_program(within_reach(each, machine.kinematics), machine) for each in (program, sliced))
     if (shaper := find_shaper(head)) is not None:
-        return CompensatedPrint(written, planned, reference_clock(planned.trajectory), Tuned(*shaper).by_axis())
+        clock = reference_clock(planned.trajectory)
+        return PlannedPrint(written, planned, clock, UNSHAPED, Tuned(*shaper).by_axis())
     clock = section_starts(written.program, planned).clock(written.trajectory.start_t)
-    return CompensatedPrint(written, planned, clock)
+    return PlannedPrint(written, planned, clock)
 
 
 def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:
     """Return a planned program, evaluated against its own path."""
-    trajectory = planned.trajectory
-    return _command(trajectory, trajectory, reference_clock(trajectory), machine, FILE_PLAN)
-
-
-def _command(
-    executed: Trajectory,
-    reference: Trajectory,
-    clock: SectionClock,
-    machine: Machine,
-    description: str,
-    by_axis: Sequence[Shaper] = (),
-) -> Command:
-    intervals = continuous_intervals(executed)
-    sections = [_section(executed, begin, end, reference, clock, machine, by_axis) for begin, end in intervals]
-    return Command(sections, "cubic", description)
-
-
-def _section(
-    executed: Trajectory,
-    begin_s: float,
-    end_s: float,
-    reference: Trajectory,
-    clock: SectionClock,
-    machine: Machine,
-    by_axis: Sequence[Shaper],
-) -> CommandSection:
-    kinematics = machine.kinematics.compiled()
-    last = np.nextafter(end_s, -np.inf)  # at the end itself the next section may have begun
-    path_t, path = path_corners(reference)
-
-    position = resting(lambda t: executed.position(t)[:, :3], begin_s, float(last), by_axis)
-
-    def actuators(t: FloatArray) -> FloatArray:
-        return kinematics.inverse(np.ascontiguousarray(position(t)))
-
-    def plan_time(t: FloatArray) -> FloatArray:
-        return clock.plan_time(np.clip(t, begin_s, last))
-
-    def nozzle(t: FloatArray) -> FloatArray:
-        return np.ascontiguousarray(reference.position(plan_time(t))[:, :3])
-
-    def between(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
-        part = slice(max(int(np.searchsorted(path_t, from_s)) - 1, 0), int(np.searchsorted(path_t, to_s, "right")) + 1)
-        return path_t[part], path[part]
-
-    return CommandSection(begin_s, end_s, lambda t, step_s: actuators(t), actuators, nozzle, plan_time, between)
+    return PlannedPrint(planned, planned, reference_clock(planned.trajectory), FILE_PLAN).command(machine)
 
 
 REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
