@@ -14,7 +14,6 @@ from ffcomp.compensation.faster import Faster
 from ffcomp.compensation.net import Unsafe
 from ffcomp.compensation.prediction import Samples
 from ffcomp.firmware.program import PlannedProgram
-from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Extent
@@ -244,7 +243,7 @@ def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics
 def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> Iterator[str]:
     """Warn if more than a limit is demanded where the section is written."""
     begin, end = solved.reference.written
-    demand = utilisation_from_rest(solved.solution.vertices, model.limits)[begin : end + 2].max(axis=(1, 2))
+    demand = solved.solution.demand[begin : end + 2].max(axis=(1, 2))
     worst = int(demand.argmax())
     if demand[worst] > UTILISATION_TOLERANCE:
         t = solved.reference.t0 + (begin + worst) * model.settings.segment_s

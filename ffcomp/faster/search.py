@@ -27,7 +27,7 @@ from ffcomp.faster.predicted_error import (
     histogram,
 )
 from ffcomp.firmware.program import plan_section
-from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, utilisation_from_rest
+from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.solve import solve
@@ -93,11 +93,11 @@ class SectionSearch:
         model, s = self.model, self.model.settings
         plan = plan_section(self.limits, self.moves, 0.0)
         reference = Reference(plan, Section(0, len(self.moves), True, 0.0, plan.end_t), s)
-        vertices = solve(model, reference, self.state, enforce_limits=False).vertices
+        solution = solve(model, reference, self.state, enforce_limits=False)
         t = self.ensemble.times(reference)
-        errors = self.ensemble.errors(reference, vertices)
+        errors = self.ensemble.errors(reference, solution.vertices)
         self.counts = histogram(*errors, 1.0 / self.ceiling.bound_mm[plan.move_at(t)])
-        utilisation = utilisation_from_rest(vertices, model.limits)[1:-1, [ACCELERATION, TRAVEL]]
+        utilisation = solution.demand[1:-1, [ACCELERATION, TRAVEL]]
         demand = _largest(utilisation.max(axis=(1, 2)), s.segment_s, reference.t0, plan)
         allowed = self.moves.acceleration * (TARGET / demand)
         self.top = np.where(demand > TARGET, np.minimum(self.top, allowed), self.top)

@@ -127,11 +127,10 @@ def _beyond(
     gentle : nor may the ends exceed the path and the middle by much
     """
     # not finite means out of reach, where a lower speed does not help
-    utilisation = utilisation_from_rest(solution.vertices, model.limits)
-    beyond = utilisation.max(axis=(1, 2)) > 1.0
+    beyond = solution.demand.max(axis=(1, 2)) > 1.0
     if gentle:
         path = reference.at_knots(np.arange(reference.knots + 1))
-        asked = utilisation[:, ACCELERATION].max(axis=1)
+        asked = solution.demand[:, ACCELERATION].max(axis=1)
         inner = asked[ENDS:-ENDS].max(initial=0.0)
         by_path = utilisation_from_rest(path, model.limits)[:, ACCELERATION].max()
         beyond |= asked > STEEP * max(by_path, inner)

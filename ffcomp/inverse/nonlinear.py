@@ -41,7 +41,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ffcomp.inverse import solve as fast
-from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
+from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.gains import REST_ROWS
 from ffcomp.inverse.model import InverseModel, Iterate
@@ -322,5 +322,5 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
 
 def _result(model: InverseModel, each: _Round, linear: Solution) -> Solution:
     vertices = each.iterate.command(each.best)
-    utilisation = peak_utilisation(vertices, model.limits)
-    return replace(linear, vertices=vertices, response=each.response, utilisation=utilisation)
+    demand = utilisation_from_rest(vertices, model.limits)
+    return replace(linear, vertices=vertices, response=each.response, demand=demand)

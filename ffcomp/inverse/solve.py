@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.inverse.command_limits import peak_utilisation
+from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.nearest import nearest_within_limits
@@ -48,9 +48,14 @@ class Solution:
     vertices: FloatArray  # (n + 1, 3) mm: the nozzle command at the knots
     state: FloatArray  # (18,): of the plant at the last knot
     windows: int  # solved
-    utilisation: float  # peak demand on a carriage over its limit; up to 1 is allowed
+    demand: FloatArray  # (n + 2, 3, 3), `utilisation_from_rest`
     limited: tuple[LimitedWindow, ...] = ()
     response: FloatArray | None = None  # (n·substeps, 3) mm: of a nonlinear printer's nozzle; None: it is linear
+
+    @property
+    def utilisation(self) -> float:
+        """The peak demand on a carriage over its limit; up to 1 is allowed."""
+        return float(self.demand.max())
 
 
 def solve(
@@ -75,14 +80,14 @@ def solve(
         stop = at + STRETCH if iterate.last - at > STRETCH + PREVIEW_KNOTS else iterate.last
         state = _solve_stretch(Sweep(iterate, at, stop), state)
         at, windows = stop, windows + 1
-    utilisation = peak_utilisation(iterate.vertices, model.limits)
-    if enforce_limits and utilisation > 1.0:
+    demand = utilisation_from_rest(iterate.vertices, model.limits)
+    if enforce_limits and demand.max() > 1.0:
         moved = _limit(iterate)
         error, states = KnotWindow(iterate, 0, iterate.last).error_from(begin)
         farthest = np.sqrt((error**2).sum(axis=1)).reshape(iterate.last, -1).max(axis=1)
         limited, state = tuple(_windows(moved, farthest)), states[-1]
-        utilisation = peak_utilisation(iterate.vertices, model.limits)
-    return Solution(iterate.vertices, state, windows, utilisation, limited)
+        demand = utilisation_from_rest(iterate.vertices, model.limits)
+    return Solution(iterate.vertices, state, windows, demand, limited)
 
 
 def _limit(iterate: Iterate) -> BoolArray:

@@ -37,7 +37,6 @@ from ffcomp.inverse.command_limits import (
     TOLERANCE,
     TRAVEL,
     VELOCITY,
-    CommandLimits,
     utilisation_from_rest,
 )
 from ffcomp.inverse.model import InverseModel
@@ -102,14 +101,12 @@ def path_violations(path: FloatArray, command: FloatArray) -> Iterator[Violation
             yield found._replace(limit=limit, factor=np.nan if limit == TRAVEL else found.factor)
 
 
-def solution_violations(
-    solution: Solution, free: FloatArray, tolerance_mm: float, limits: CommandLimits
-) -> Iterator[Violation]:
+def solution_violations(solution: Solution, free: FloatArray, tolerance_mm: float) -> Iterator[Violation]:
     """Yield where limits are kept at the cost of the path, or not kept.
 
     free : (n, 3, 3), the utilisation by the command without limits
     """
-    left = utilisation_from_rest(solution.vertices, limits)[1:-1]
+    left = solution.demand[1:-1]
     for window in solution.limited:
         inside = slice(window.first, window.last + 1)
         if not window.error_mm <= tolerance_mm or (left[inside] > 1.0 + SOLVER_ACCURACY).any():
@@ -267,7 +264,7 @@ class ScaledSection:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
         model, (reference, solution) = self.model, command
         begin, end = reference.written
-        asked = utilisation_from_rest(solution.vertices, model.limits)
+        asked = solution.demand
 
         def among(violations: Iterable[Violation]) -> list[Violation]:
             return [each for each in violations if each.last >= begin and each.first < end]
@@ -278,7 +275,7 @@ class ScaledSection:
         whole = (begin, end) == (0, reference.knots)
         if not (asked if whole else asked[1:-1][begin:end]).max() <= 1.0:  # nor if not a number
             solution = self._solved(reference)
-            violations = among(solution_violations(solution, asked[1:-1], tolerance_mm, model.limits))
+            violations = among(solution_violations(solution, asked[1:-1], tolerance_mm))
         late = late_segments(model, reference, solution.vertices, self.plan.start_t[self._after_events])
         timing = (Violation(*ends, TIMING, 0, 1.0, LATE_FACTOR) for ends in _ranges(widened(late, 1)))
         return reference, solution, violations + among(timing)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.inverse.command_limits import peak_utilisation
+from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.gains import segment_response
 from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.reference import Reference
@@ -32,8 +32,7 @@ def solve_exactly(
             commit_end = iterate.last  # a short remainder joins this window
         state = _window(iterate, at, state, commit_end, min(commit_end + preview, iterate.n))
         windows, at = windows + 1, commit_end
-    utilisation = peak_utilisation(iterate.vertices, model.limits)
-    return Solution(iterate.vertices, state, windows, utilisation)
+    return Solution(iterate.vertices, state, windows, utilisation_from_rest(iterate.vertices, model.limits))
 
 
 def _window(iterate: Iterate, at: int, state: FloatArray, commit_end: int, end: int) -> FloatArray:

@@ -99,7 +99,7 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
     worst = max(each.error_mm for each in held.limited)
     beyond = utilisation_from_rest(free.vertices, held_inverter.limits)[1:-1]
     for share, slows in ((1.1, False), (0.9, True)):  # the tolerance decides between an error and a delay
-        assert any(solution_violations(held, beyond, share * worst, held_inverter.limits)) == slows
+        assert any(solution_violations(held, beyond, share * worst)) == slows
     again = solve(held_inverter, reference, state, enforce_limits=False)
     assert len(again.limited) == 0
     np.testing.assert_array_equal(again.vertices, free.vertices)
