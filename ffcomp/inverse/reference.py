@@ -165,7 +165,8 @@ class Reference:
         A firmware slows down where the filament per mm changes. Near a hard corner the command runs ahead of its path
         or behind it, so the plan's filament per mm of the command changes. Here each line keeps its filament per mm.
         The sum around the segments stays the same, nothing flows where nothing did, and a retraction stays that of the
-        plan: in one sum with it, the flow before would grow.
+        plan: in one sum with it, the flow before would grow. Without this a pressure advance pattern was 4.4 % longer,
+        not 1.5 %.
 
         Parameters
         ----------
@@ -242,10 +243,15 @@ def _near(segments: NDArray[np.bool_], knots: int) -> FloatArray:
     return np.convolve(padded, window / window.sum(), mode="valid")
 
 
+def ranges(marked: NDArray[np.bool_]) -> list[list[int]]:
+    """Return the first of each range of marked segments (n,), and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    return list(edges.reshape(-1, 2).tolist())
+
+
 def _stretches(marked: NDArray[np.bool_], cuts: list[int]) -> Iterator[slice]:
     """Yield the ranges of marked segments, split at the cuts; cuts : rising knots."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
-    for first, after in edges.reshape(-1, 2).tolist():
+    for first, after in ranges(marked):
         inner = [cut for cut in cuts if first < cut < after]
         yield from (slice(*ends) for ends in pairwise([first, *inner, after]))
 

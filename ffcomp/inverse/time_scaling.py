@@ -40,7 +40,7 @@ from ffcomp.inverse.command_limits import (
     utilisation_from_rest,
 )
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Reference, context_s
+from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Reference, context_s, ranges
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
@@ -96,8 +96,8 @@ def path_violations(path: FloatArray, command: FloatArray) -> Iterator[Violation
     over = widened(np.any(command > BINDING_UTILISATION, axis=(1, 2)), COMMAND_REACH_KNOTS)
     for limit in (VELOCITY, ACCELERATION, TRAVEL):
         beyond = 1.0 if limit == TRAVEL else TOLERANCE
-        for first, last in _ranges(over & (path[:, limit] > beyond).any(axis=1)):
-            found = Violation.of(path[first : last + 1, limit : limit + 1], first, last)
+        for first, after in ranges(over & (path[:, limit] > beyond).any(axis=1)):
+            found = Violation.of(path[first:after, limit : limit + 1], first, after - 1)
             yield found._replace(limit=limit, factor=np.nan if limit == TRAVEL else found.factor)
 
 
@@ -111,20 +111,13 @@ def solution_violations(solution: Solution, free: FloatArray, tolerance_mm: floa
         inside = slice(window.first, window.last + 1)
         if not window.error_mm <= tolerance_mm or (left[inside] > 1.0 + SOLVER_ACCURACY).any():
             demand = np.maximum(free[inside], left[inside])
-            for first, last in _ranges(widened(np.any(demand > 1.0, axis=(1, 2)), 2)):
-                yield Violation.of(demand[first : last + 1], window.first + first, window.first + last)
+            for first, after in ranges(widened(np.any(demand > 1.0, axis=(1, 2)), 2)):
+                yield Violation.of(demand[first:after], window.first + first, window.first + after - 1)
 
 
 def widened(marked: BoolArray, by: int) -> BoolArray:
     """Mark the neighbours of marked segments too."""
     return np.asarray(np.convolve(marked, np.ones(2 * by + 1))[by : by + len(marked)] > 0.5)
-
-
-def _ranges(marked: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield the first and the last of each range of marked segments."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
-    for first, after in edges.reshape(-1, 2):
-        yield int(first), int(after) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +270,7 @@ class ScaledSection:
             solution = self._solved(reference)
             violations = among(solution_violations(solution, asked[1:-1], tolerance_mm))
         late = late_segments(model, reference, solution.vertices, self.plan.start_t[self._after_events])
-        timing = (Violation(*ends, TIMING, 0, 1.0, LATE_FACTOR) for ends in _ranges(widened(late, 1)))
+        timing = (Violation(a, b - 1, TIMING, 0, 1.0, LATE_FACTOR) for a, b in ranges(widened(late, 1)))
         return reference, solution, violations + among(timing)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
