@@ -222,7 +222,7 @@ def of_section(section: Section, solved: SolvedSection, planned: PlannedProgram,
     result = solved.solution
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > UTILISATION_TOLERANCE else ()
     return Statistics(
-        windows=result.windows,
+        windows=1,
         limited_windows=len(result.limited),
         print_time_s=longer_s,
         warnings=warnings,

@@ -1,4 +1,4 @@
-"""The iterate of one section: its coefficients, and the plant's response to them as the firmware executes them."""
+"""What a machine's inverse needs: its plant over the bed, gains, limits, and how the possible printers differ."""
 
 from __future__ import annotations
 
@@ -33,79 +33,6 @@ from models.vibration.scheduled import (
     table_positions,
 )
 from models.vibration.state_space import DiscretePlant
-
-CONTEXT = 4  # segments before a window that decide how fast it is entered
-IN_SIGHT = 24  # segments after a section's end that an error may still be weighed in
-
-
-class Iterate:
-    """The coefficients γ of one section (n + 1, 3) mm over its knots and those in sight after its end.
-
-    `robust_offset` (m, 3) mm is the robust reference less the path at the rows of its segments; empty: none.
-    """
-
-    def __init__(self, model: InverseModel, reference: Reference) -> None:
-        self.model, self.reference = model, reference
-        self.last = reference.knots  # the knot where the command comes to rest
-        self.n = self.last + IN_SIGHT
-        self.gamma = np.zeros((self.n + 1, 3))
-        self.vertices = np.empty((self.last + 1, 3))
-        known = reference.robust_offset
-        self.robust_offset = model.robust_offsets([reference])[0] if known is None else known
-        self.extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(self.n - self.last)])
-
-    @cached_property
-    def _path_q(self) -> FloatArray:
-        return self.model.kinematics.inverse(self.reference.at_knots(np.arange(self.last + 1)))
-
-    def command(self, gamma: FloatArray) -> FloatArray:
-        """Return the nozzle's command (last + 1, 3) mm by some coefficients."""
-        return self.model.kinematics.forward(self._path_q + gamma[: self.last + 1])
-
-    def take(self, vertices: FloatArray) -> None:
-        """Set the coefficients to those of a command (last + 1, 3) mm."""
-        self.gamma[: self.last + 1] = self.model.kinematics.inverse(vertices) - self._path_q
-
-
-class KnotWindow:
-    """The knots `at` … `end` of a section: the reference there, and the response to the coefficients as they stand."""
-
-    def __init__(self, iterate: Iterate, at: int, end: int) -> None:
-        s = iterate.model.settings
-        self.iterate, self.at, self.end = iterate, at, end
-        self.nozzle, self.velocity = iterate.reference.substeps(at, end)
-        self.reference_q = iterate.model.kinematics.inverse(self.nozzle[:: s.substeps])
-        self.place = iterate.model.places(self.nozzle)
-        self._centripetal = iterate.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
-        self._stride = s.substeps // s.rows_per_segment
-        self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
-        first = at * s.rows_per_segment
-        offset = iterate.robust_offset[first : first + len(self._due)]
-        self._due[: len(offset)] += offset
-
-    def vertices(self) -> FloatArray:
-        """Return the nozzle commands at the knots, (n + 1, 3) mm."""
-        return self.iterate.model.kinematics.forward(self.reference_q + self.iterate.gamma[self.at : self.end + 1])
-
-    def error_from(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the error (rows, 3) mm by the plant, and the states at the knots, from a state (18,) at the first."""
-        model = self.iterate.model
-        command = model.kinematics.inverse(self._executed())
-        q, states = model.plant.play(self.place, self._centripetal, command, state, model.settings.substeps)
-        rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
-        return self._due - model.kinematics.forward(rows), states
-
-    def _executed(self) -> FloatArray:
-        """Return the command as the firmware executes the segments: straight, with its ramps, (m, 3) mm."""
-        iterate, s = self.iterate, self.iterate.model.settings
-        before = min(self.at, CONTEXT)
-        first = self.at - before
-        vertices = self.vertices()
-        if before:
-            vertices = np.concatenate([iterate.vertices[first : self.at], vertices])
-        extrusion = iterate.extrusion[first : self.end]
-        return sample_even_segments(vertices, extrusion, s.segment_s, s.output, s.substeps)[before * s.substeps :]
-
 
 GEOMETRY = "arm_geometry"  # calibrated, not compensated: the nozzle's rest position must be the commanded one
 

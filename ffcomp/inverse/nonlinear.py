@@ -40,12 +40,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.inverse import solve as fast
 from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.gains import REST_ROWS
-from ffcomp.inverse.model import InverseModel, Iterate
-from ffcomp.inverse.solve import Solution
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.solve import Solution, Sweep
 from models.arrays import FloatArray
 from models.compiled import kernel
 from models.effects.catalogue import values_of, without_effects
@@ -106,29 +105,28 @@ class FrictionBacklash:
         """Return whether the belts' stretch matters."""
         return bool(np.any(self._numbers.half_backlash > 0.0))
 
-    def command(self, iterate: Iterate, stretch: FloatArray) -> FloatArray:
+    def command(self, sweep: Sweep, stretch: FloatArray) -> FloatArray:
         """Return what the linear inverse of a section lacks, γ (n + 1, 3) mm, from rest to rest.
 
         stretch : (rows, 3) mm, of the belts at the section's substeps, without these effects; its last row stays
         """
         s, kinematics = self._model.settings, self._model.kinematics
-        nozzle, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
+        nozzle, place = sweep.nozzle, sweep.place
         e = self._beyond(kinematics.inverse(nozzle), stretch)
-        place = self._model.places(nozzle)
         rows = slice(s.substeps // s.rows_per_segment - 1, None, s.substeps // s.rows_per_segment)
         jacobian = self._model.machine.kinematics.jacobian(nozzle[1:, :2][rows])
-        knots, t = np.arange(len(iterate.gamma)), np.arange(len(nozzle)) / s.substeps
+        knots, t = np.arange(len(sweep.gamma)), np.arange(len(nozzle)) / s.substeps
 
         def carriages(plant: Schedule, added: FloatArray) -> FloatArray:
             """Return what a linear plant makes of an addition to the command, (m + 1, 3) mm."""
             rest = np.zeros(plant.table.plant.a.shape[1])
             return plant.play(place, np.zeros_like(added), added, rest, s.substeps)[0][rows]
 
-        demand, gamma = carriages(self._belts, e - e[0]), np.zeros_like(iterate.gamma)
+        demand, gamma = carriages(self._belts, e - e[0]), np.zeros_like(sweep.gamma)
         for _ in range(SWEEPS):
             done = carriages(self._model.plant, np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1))
             left = np.einsum("nij,nj->ni", jacobian, demand - done)
-            gamma += fast.answer(iterate, np.zeros_like(gamma), left)
+            gamma += sweep.answer(left, np.zeros_like(gamma))[0]
         return gamma
 
     def _beyond(self, q: FloatArray, stretch: FloatArray) -> FloatArray:
@@ -182,7 +180,7 @@ SMOOTHINGS, SMOOTHED_KNOTS, KEPT_SHARE = 60, 4, 0.9  # of a change that breaks a
 class _Round:
     """The state of one section: next, last, best and blended command."""
 
-    iterate: Iterate  # its γ is executed next
+    sweep: Sweep  # its γ is executed next
     rest_rows: int | None  # since the section before it
     most: float  # times the limits allowed for a command
     best: FloatArray  # γ (n + 1, 3) mm of the best that was executed
@@ -209,11 +207,11 @@ def correct_sections(model: InverseModel, machine: Machine, sections: Sequence[S
             break
         before = now
         for each in rounds:  # the command that is simulated next
-            executed = each.iterate.gamma.copy()
+            executed = each.sweep.gamma.copy()
             gamma = executed - each.feedforward
-            each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.iterate, gamma, each.error))]
+            each.tried = [*each.tried[1 - TRIED :], (gamma, each.sweep.answer(each.error, gamma)[0])]
             _change(each, executed, mixed(each.tried, share) - gamma)
-    reached = np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.iterate.last for each in rounds]))
+    reached = np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.sweep.last for each in rounds]))
     if _promised(rounds) < STALL_RATIO * float(reached):
         for each in rounds:
             _change(each, each.best, each.gamma - each.best)
@@ -225,13 +223,12 @@ def correct_sections(model: InverseModel, machine: Machine, sections: Sequence[S
 
 
 def _begin(model: InverseModel, section: SolvedSection) -> _Round:
-    iterate, s = Iterate(model, section.reference), model.settings
-    iterate.take(section.solution.vertices)
+    sweep, s = Sweep(model, section.reference), model.settings
+    sweep.take(section.solution.vertices)
     row_s = s.segment_s / s.substeps
     rest = None if section.rest_s is None else max(round(section.rest_s / row_s), 0)
-    return _Round(
-        iterate, rest, max(1.0, section.solution.utilisation), iterate.gamma.copy(), np.zeros_like(iterate.gamma)
-    )
+    most = max(1.0, section.solution.utilisation)
+    return _Round(sweep, rest, most, sweep.gamma.copy(), np.zeros_like(sweep.gamma))
 
 
 def _add_feedforward(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
@@ -242,9 +239,9 @@ def _add_feedforward(model: InverseModel, machine: Machine, rounds: Sequence[_Ro
         without = without_effects(machine, *FEEDFORWARD_EFFECTS)
         stretches = _played(model, without, rounds, lambda motion: motion.motor_mm - motion.carriage_mm)
     for each, stretch in zip(rounds, stretches, strict=True):
-        linear = each.iterate.gamma.copy()
-        _change(each, linear, printer_feedforward.command(each.iterate, stretch))
-        each.feedforward = each.iterate.gamma - linear
+        linear = each.sweep.gamma.copy()
+        _change(each, linear, printer_feedforward.command(each.sweep, stretch))
+        each.feedforward = each.sweep.gamma - linear
 
 
 def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
@@ -259,14 +256,14 @@ def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> N
 
 def _promised(rounds: Sequence[_Round]) -> float:
     """Return the rms with those put together, mm, if every position is again what it was at its best."""
-    return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.iterate.last + 1] for each in rounds]))))
+    return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.sweep.last + 1] for each in rounds]))))
 
 
 def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Observe) -> list[FloatArray]:
     """Return what is observed in every section and a while after it, (rows + rest, 3) mm, from its first knot on."""
     s, late = model.settings, values_of(machine, "command_delay")
-    iterates = (each.iterate for each in rounds)
-    executed = (model.executed(each.reference, each.command(each.gamma)) for each in iterates)
+    sweeps = (each.sweep for each in rounds)
+    executed = (model.executed(each.reference, each.command(each.gamma)) for each in sweeps)
     commands = [model.kinematics.inverse(each) for each in executed]
     rests = [each.rest_rows for each in rounds]
     late_s = float(np.mean(late["delay_s"])) if late else 0.0
@@ -275,52 +272,51 @@ def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], see
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:
     """Keep the simulated command if it is the best, and of it the positions that are."""
-    iterate, s = each.iterate, each.iterate.model.settings
-    reference, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
+    sweep, s, reference = each.sweep, each.sweep.model.settings, each.sweep.nozzle
     rows = min(len(nozzle), len(reference))
     error = np.zeros_like(reference)
     error[:rows] = reference[:rows] - nozzle[:rows]
-    end, stride = iterate.last * s.substeps, s.substeps // s.rows_per_segment
-    if len(iterate.robust_offset):
-        error[1 : end + 1] += np.repeat(iterate.robust_offset, stride, axis=0)
+    end, stride = sweep.last * s.substeps, s.substeps // s.rows_per_segment
+    if len(sweep.robust_offset):
+        error[1 : end + 1] += np.repeat(sweep.robust_offset, stride, axis=0)
     square = np.sum(error[1 : end + 1] ** 2, axis=1)
     rms = float(np.sqrt(np.mean(square)))
     if rms < each.rms:
-        each.best, each.rms, each.response = iterate.gamma.copy(), rms, nozzle[1 : end + 1]
+        each.best, each.rms, each.response = sweep.gamma.copy(), rms, nozzle[1 : end + 1]
     each.error = error[stride::stride].copy()
-    local = np.zeros(len(iterate.gamma))
-    local[1 : iterate.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
+    local = np.zeros(len(sweep.gamma))
+    local[1 : sweep.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
     _put_together(each, around(local, JUDGED_KNOTS))
 
 
 def _put_together(each: _Round, local: FloatArray) -> None:
     """Take the simulated command wherever it is the best so far."""
     if not len(each.gamma):
-        each.gamma, each.local = each.iterate.gamma.copy(), local
+        each.gamma, each.local = each.sweep.gamma.copy(), local
         return
     better = local < each.local
     taken = around(better.astype(np.float64), BLENDED_KNOTS)[:, None]  # smoothed, so that the command does not jump
-    each.gamma = taken * each.iterate.gamma + (1.0 - taken) * each.gamma
+    each.gamma = taken * each.sweep.gamma + (1.0 - taken) * each.gamma
     each.local = np.where(better, local, each.local)
 
 
 def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     """Go from one command, which keeps the limits, to the next: smoother and less far around where that breaks one."""
-    iterate = each.iterate
+    sweep = each.sweep
     for _ in range(SMOOTHINGS):
-        iterate.gamma[:] = gamma + change
-        demand = utilisation_from_rest(iterate.command(iterate.gamma), iterate.model.limits).max(axis=(1, 2))
+        sweep.gamma[:] = gamma + change
+        demand = utilisation_from_rest(sweep.command(sweep.gamma), sweep.model.limits).max(axis=(1, 2))
         beyond = np.zeros((len(gamma), 1))
-        beyond[: iterate.last + 1, 0] = np.maximum(demand[:-1], demand[1:]) > each.most
+        beyond[: sweep.last + 1, 0] = np.maximum(demand[:-1], demand[1:]) > each.most
         if not beyond.any():
             return
         near = around(np.ceil(around(beyond, SMOOTHED_KNOTS)), SMOOTHED_KNOTS)
         change = change - near * (change - KEPT_SHARE * around(change, 1))
-        change[0] = change[iterate.last :] = 0.0  # it begins and ends on the path
-    iterate.gamma[:] = gamma
+        change[0] = change[sweep.last :] = 0.0  # it begins and ends on the path
+    sweep.gamma[:] = gamma
 
 
 def _result(model: InverseModel, each: _Round, linear: Solution) -> Solution:
-    vertices = each.iterate.command(each.best)
+    vertices = each.sweep.command(each.best)
     demand = utilisation_from_rest(vertices, model.limits)
     return replace(linear, vertices=vertices, response=each.response, demand=demand)

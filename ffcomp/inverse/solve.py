@@ -1,8 +1,8 @@
 """The inverse of one section: the command whose response, by the linear model, is the reference.
 
-A section is solved in stretches. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are
-executed through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept
-backwards and forwards once, with the gains of `gains.py`; and again. The gains are those of the nearest node of the
+The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are executed through the plant
+scheduled along the path, with the firmware's ramps; the error that comes out is swept backwards and forwards once, with
+the gains of `gains.py`; and again. The gains are those of the nearest node of the
 grid, the plant is the one at the very position: what the first sweep misses for that, the second one finds.
 
 The inverse itself knows no limits. A command that exceeds one is replaced by the nearest that does not, and simulated.
@@ -17,17 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.command_limits import utilisation_from_rest
-from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
-from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
+from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, sweep_back, sweep_forward
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nearest import nearest_within_limits
 from ffcomp.inverse.reference import Reference
+from ffcomp.planner.segment_timing import sample_even_segments
 from models.arrays import BoolArray, FloatArray
 from models.compiled import kernel
 
-STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5
 CONVERGENCE_MM = 5e-3  # after so small a change, the next is a tenth of it
-PREVIEW_KNOTS = 32  # knots of preview: later errors affect the command by a hundred-thousandth
 MOVED_MM = 1e-6  # farther is changed
 AFFECTED = 32  # knots after a change whose errors are its own
 
@@ -47,7 +46,6 @@ class Solution:
 
     vertices: FloatArray  # (n + 1, 3) mm: the nozzle command at the knots
     state: FloatArray  # (18,): of the plant at the last knot
-    windows: int  # solved
     demand: FloatArray  # (n + 2, 3, 3), `utilisation_from_rest`
     limited: tuple[LimitedWindow, ...] = ()
     response: FloatArray | None = None  # (n·substeps, 3) mm: of a nonlinear printer's nozzle; None: it is linear
@@ -58,13 +56,7 @@ class Solution:
         return float(self.demand.max())
 
 
-def solve(
-    model: InverseModel,
-    reference: Reference,
-    state: FloatArray,
-    *,
-    enforce_limits: bool = True,
-) -> Solution:
+def solve(model: InverseModel, reference: Reference, state: FloatArray, *, enforce_limits: bool = True) -> Solution:
     """Solve one section.
 
     Parameters
@@ -74,30 +66,26 @@ def solve(
     state : (18,) of the plant at the section's first knot
     enforce_limits : False leaves a command above a limit unchanged
     """
-    iterate, begin, limited = Iterate(model, reference), state, tuple[LimitedWindow, ...]()
-    at = windows = 0
-    while at < iterate.last:
-        stop = at + STRETCH if iterate.last - at > STRETCH + PREVIEW_KNOTS else iterate.last
-        state = _solve_stretch(Sweep(iterate, at, stop), state)
-        at, windows = stop, windows + 1
-    demand = utilisation_from_rest(iterate.vertices, model.limits)
+    sweep, limited = Sweep(model, reference), tuple[LimitedWindow, ...]()
+    sweep.begin()
+    for _ in range(MOST_PASSES):
+        error, states = sweep.error_from(state)
+        change, ringing = sweep.answer(error)
+        sweep.gamma += change
+        if float(np.abs(change[: sweep.last + 1]).max()) < CONVERGENCE_MM:
+            break
+    vertices, after = sweep.command(sweep.gamma), states[sweep.last] + ringing
+    demand = utilisation_from_rest(vertices, model.limits)
     if enforce_limits and demand.max() > 1.0:
-        moved = _limit(iterate)
-        error, states = KnotWindow(iterate, 0, iterate.last).error_from(begin)
-        farthest = np.sqrt((error**2).sum(axis=1)).reshape(iterate.last, -1).max(axis=1)
-        limited, state = tuple(_windows(moved, farthest)), states[-1]
-        demand = utilisation_from_rest(iterate.vertices, model.limits)
-    return Solution(iterate.vertices, state, windows, demand, limited)
-
-
-def _limit(iterate: Iterate) -> BoolArray:
-    """Take the nearest command within the limits; return which segments (n,) end at knots that it moves."""
-    model, free = iterate.model, iterate.command(iterate.gamma)
-    path = iterate.reference.at_knots(np.arange(iterate.last + 1))
-    iterate.vertices[:] = nearest_within_limits(free, path, model.limits, model.kinematics)
-    iterate.take(iterate.vertices)
-    moved = np.abs(iterate.vertices - free).max(axis=1) > MOVED_MM
-    return np.asarray(moved[:-1] | moved[1:])
+        path = reference.at_knots(np.arange(sweep.last + 1))
+        held = nearest_within_limits(vertices, path, model.limits, model.kinematics)
+        moved, vertices = np.abs(held - vertices).max(axis=1) > MOVED_MM, held
+        sweep.take(vertices)
+        error, states = sweep.error_from(state)
+        farthest = np.sqrt((error**2).sum(axis=1)).reshape(sweep.n, -1).max(axis=1)
+        limited, after = tuple(_windows(moved[:-1] | moved[1:], farthest[: sweep.last])), states[sweep.last]
+        demand = utilisation_from_rest(vertices, model.limits)
+    return Solution(vertices, after, demand, limited)
 
 
 def _windows(moved: BoolArray, error: FloatArray) -> Iterator[LimitedWindow]:
@@ -109,76 +97,75 @@ def _windows(moved: BoolArray, error: FloatArray) -> Iterator[LimitedWindow]:
 
 
 class Sweep:
-    """The preview sweep over the knots at+1 … stop of a section, with the knots in sight after them."""
+    """The preview sweep over one section: from what is left of the reference to the command that answers it.
 
-    def __init__(self, iterate: Iterate, at: int, stop: int) -> None:
-        self.iterate, self.at, self.stop = iterate, at, stop
-        whole = stop == iterate.last
-        self.window = KnotWindow(iterate, at, stop + (REST_ROWS if whole else PREVIEW_KNOTS))
-        gains = iterate.model.gains
-        self._node, self._steady = gains.at(self.window.place)
-        self._ending = _to_rest(gains, self._node, len(self._steady.backward)) if whole else no_gains(gains.size)
+    γ (n + 1, 3) mm are the coefficients at the section's knots and those in sight after its end.
+    """
 
-    def answer(self, residual: FloatArray, gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def __init__(self, model: InverseModel, reference: Reference) -> None:
+        s, kinematics = model.settings, model.kinematics
+        self.model, self.reference = model, reference
+        self.last = reference.knots  # the knot where the command comes to rest
+        self.n = self.last + REST_ROWS
+        self.gamma = np.zeros((self.n + 1, 3))
+        self.nozzle, self.velocity = reference.substeps(0, self.n)
+        self.path_q = kinematics.inverse(self.nozzle[:: s.substeps])
+        self.place = model.places(self.nozzle)
+        self._centripetal = kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
+        self._extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(REST_ROWS)])
+        self._stride = s.substeps // s.rows_per_segment
+        known = reference.robust_offset
+        self.robust_offset = model.robust_offsets([reference])[0] if known is None else known  # (rows, 3) mm; or empty
+        self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
+        self._due[: len(self.robust_offset)] += self.robust_offset
+        self._node, self._steady = model.gains.at(self.place)
+        self._ending = _to_rest(model.gains, self._node, len(self._steady.backward))
+
+    def command(self, gamma: FloatArray) -> FloatArray:
+        """Return the nozzle's command (last + 1, 3) mm by some coefficients."""
+        return self.model.kinematics.forward(self.path_q[: self.last + 1] + gamma[: self.last + 1])
+
+    def take(self, vertices: FloatArray) -> None:
+        """Set the coefficients to those of a command (last + 1, 3) mm."""
+        self.gamma[: self.last + 1] = self.model.kinematics.inverse(vertices) - self.path_q[: self.last + 1]
+
+    def error_from(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the error (rows, 3) mm by the plant, and the states at the knots, from a state (18,) at the first."""
+        model, s = self.model, self.model.settings
+        vertices = model.kinematics.forward(self.path_q + self.gamma)
+        executed = sample_even_segments(vertices, self._extrusion, s.segment_s, s.output, s.substeps)
+        command = model.kinematics.inverse(executed)
+        q, states = model.plant.play(self.place, self._centripetal, command, state, s.substeps)
+        rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
+        return self._due - model.kinematics.forward(rows), states
+
+    def answer(self, residual: FloatArray, gamma: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the change of the command that answers a residual.
 
         Parameters
         ----------
-        residual : (rows, 3) mm, the reference less the nozzle at the rows of the window's segments
-        gamma : (n + 1, 3) mm, the section's coefficients that leave it
+        residual : (rows, 3) mm, the reference less the nozzle at the rows of all segments
+        gamma : (n + 1, 3) mm, the coefficients that leave it; None: those of the sweep
 
         Returns
         -------
-        the change of γ (knots, 3) mm from the knot at+1 on; the plant's response to it, (18,), at the knot `stop`
+        the change of γ (n + 1, 3) mm; the plant's response to it, (18,), at the last knot
         """
-        window, kept = self.window, self.stop - self.at
-        before = gamma[window.at - 1 : window.at] if window.at else np.zeros((1, 3))
-        rows = residual.reshape(window.end - window.at, -1)
-        known = np.concatenate([before, gamma[window.at : window.end + 1]])
+        rows = np.ascontiguousarray(residual).reshape(self.n, -1)
+        known = np.concatenate([np.zeros((1, 3)), self.gamma if gamma is None else gamma])
         psi = sweep_back(self._steady.backward, self._ending.backward, self._node, rows, known)
-        change, state = sweep_forward(self._steady.forward, self._ending.forward, self._node, psi, kept)
-        return change, state[: self.iterate.model.plant.table.plant.a.shape[1]]
+        change, state = sweep_forward(self._steady.forward, self._ending.forward, self._node, psi, self.last)
+        return np.concatenate([np.zeros((1, 3)), change]), state[: self.model.plant.table.plant.a.shape[1]]
 
-
-def answer(iterate: Iterate, gamma: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return the change (n + 1, 3) mm of a whole section's coefficients (n + 1, 3) mm that answers a residual.
-
-    residual : (rows, 3) mm, of the section and `REST_ROWS` knots after it
-    """
-    change, out = Sweep(iterate, 0, iterate.last).answer(np.ascontiguousarray(residual), gamma)[0], np.zeros_like(gamma)
-    out[1 : len(change) + 1] = change
-    return out
-
-
-def _solve_stretch(sweep: Sweep, state: FloatArray) -> FloatArray:
-    """Find the coefficients of a stretch from the plant's state (18,); return the state at its end."""
-    iterate, window, kept = sweep.iterate, sweep.window, sweep.stop - sweep.at
-    _begin(sweep)
-    gamma = iterate.gamma[window.at + 1 : window.end + 1]
-    for _ in range(MOST_PASSES):
-        error, states = window.error_from(state)
-        change, answer = sweep.answer(error, iterate.gamma)
-        gamma += change
-        if float(np.abs(change[:kept]).max()) < CONVERGENCE_MM:
-            break
-    iterate.vertices[sweep.at : sweep.stop + 1] = window.vertices()[: kept + 1]
-    return states[kept] + answer
-
-
-def _begin(sweep: Sweep) -> None:
-    """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*, where none are known yet."""
-    iterate, window = sweep.iterate, sweep.window
-    last = min(window.end, iterate.last - 1)
-    n = last - sweep.at
-    if n > 0:
-        s = iterate.model.settings
-        knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
-        ahead = window.nozzle[knots] + window.velocity[knots] * iterate.model.delay_s
-        edges = iterate.reference.at_knots(np.array([sweep.at - 1, window.end + 1, window.end + 2]))
-        q_edges, q_ahead = iterate.model.kinematics.inverse(edges), iterate.model.kinematics.inverse(ahead)
-        compliance = iterate.model.compliance_at(window.nozzle[knots, :2])
-        gamma = iterate.gamma[sweep.at + 1 : last + 1]
-        _slow_motion(q_edges, window.reference_q, q_ahead, compliance, 2 * s.segment_s, gamma)
+    def begin(self) -> None:
+        """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*."""
+        if self.last > 1:
+            model, s = self.model, self.model.settings
+            knots = slice(s.substeps, self.last * s.substeps, s.substeps)
+            ahead = model.kinematics.inverse(self.nozzle[knots] + self.velocity[knots] * model.delay_s)
+            edges = model.kinematics.inverse(self.reference.at_knots(np.array([-1, self.n + 1, self.n + 2])))
+            compliance = model.compliance_at(self.nozzle[knots, :2])
+            _slow_motion(edges, self.path_q, ahead, compliance, 2 * s.segment_s, self.gamma[1 : self.last])
 
 
 @kernel

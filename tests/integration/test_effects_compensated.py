@@ -10,9 +10,9 @@ import pytest
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, inversion
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
-from ffcomp.inverse import solve as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.solve import Sweep
 from ffcomp.simulation.command import Motion
 from ffcomp.simulation.playback import simulate_nozzles
 from models.arrays import constant
@@ -108,6 +108,6 @@ def test_the_loop_never_makes_a_run_worse(monkeypatch: pytest.MonkeyPatch) -> No
     """What does harm is taken back: with answers of the wrong sign, the linear command is the worst that is left."""
     plant = with_effect(MACHINE, "frame_mode", **BEYOND["frame_mode"][0])
     ignorant = contour_rms_um(MACHINE, plant)
-    right = fast.answer
-    monkeypatch.setattr(fast, "answer", lambda run, gamma, error: right(run, gamma, -error))
+    right = Sweep.answer
+    monkeypatch.setattr(Sweep, "answer", lambda sweep, e, gamma=None: right(sweep, e if gamma is None else -e, gamma))
     assert contour_rms_um(plant, plant) < 1.000001 * ignorant

@@ -13,9 +13,9 @@ import numpy as np
 
 from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.gains import segment_response
-from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.solve import Solution
+from ffcomp.inverse.solve import Solution, Sweep
 from models.arrays import FloatArray
 
 CORRECTIONS = 2
@@ -25,38 +25,34 @@ def solve_exactly(
     model: InverseModel, reference: Reference, state: FloatArray, commit: int = 64, preview: int = 24
 ) -> Solution:
     """Solve a section window by window, from the plant's state (18,) at its first knot."""
-    iterate, windows, at = Iterate(model, reference), 0, 0
-    while at < iterate.last:
-        commit_end = min(at + commit, iterate.last)
-        if iterate.last - commit_end < preview // 2:
-            commit_end = iterate.last  # a short remainder joins this window
-        state = _window(iterate, at, state, commit_end, min(commit_end + preview, iterate.n))
-        windows, at = windows + 1, commit_end
-    return Solution(iterate.vertices, state, windows, utilisation_from_rest(iterate.vertices, model.limits))
+    sweep, at = Sweep(model, reference), 0
+    while at < sweep.last:
+        commit_end = min(at + commit, sweep.last)
+        if sweep.last - commit_end < preview // 2:
+            commit_end = sweep.last  # a short remainder joins this window
+        _window(sweep, at, state, min(commit_end + preview, sweep.n))
+        at = commit_end
+    vertices, (_, states) = sweep.command(sweep.gamma), sweep.error_from(state)
+    return Solution(vertices, states[sweep.last], utilisation_from_rest(vertices, model.limits))
 
 
-def _window(iterate: Iterate, at: int, state: FloatArray, commit_end: int, end: int) -> FloatArray:
-    """Set γ of the knots after `at`; return the state at `commit_end`."""
-    window, unknowns = KnotWindow(iterate, at, end), min(end, iterate.last - 1) - at
-    error, states = window.error_from(state)
+def _window(sweep: Sweep, at: int, state: FloatArray, end: int) -> None:
+    """Set γ of the knots after `at` by the errors until `end`."""
+    s, weight, unknowns = sweep.model.settings, np.sqrt(sweep.model.control_weight), min(end, sweep.last - 1) - at
     if unknowns > 0:
-        weight = np.sqrt(iterate.model.control_weight)
         bends = np.kron(np.diff(np.eye(unknowns + 4), 2, axis=0)[:, 2:-2], np.eye(3))
-        matrix = np.concatenate([_phi(iterate.model, window, unknowns), weight * bends])
+        matrix = np.concatenate([_phi(sweep.model, sweep.place[at:end], unknowns), weight * bends])
         for _ in range(1 + CORRECTIONS):
-            around = np.pad(iterate.gamma, ((2, 2), (0, 0)))[at + 1 : at + unknowns + 5]
+            error = sweep.error_from(state)[0][at * s.rows_per_segment : end * s.rows_per_segment]
+            around = np.pad(sweep.gamma, ((2, 2), (0, 0)))[at + 1 : at + unknowns + 5]
             left = [error.ravel(), -weight * np.diff(around, 2, axis=0).ravel()]
             step = np.linalg.lstsq(matrix, np.concatenate(left), rcond=None)[0]
-            iterate.gamma[at + 1 : at + 1 + unknowns] += step.reshape(-1, 3)
-            error, states = window.error_from(state)
-    shown = min(end, iterate.last) - at
-    iterate.vertices[at : at + shown + 1] = window.vertices()[: shown + 1]
-    return states[commit_end - at]
+            sweep.gamma[at + 1 : at + 1 + unknowns] += step.reshape(-1, 3)
 
 
-def _phi(model: InverseModel, window: KnotWindow, unknowns: int) -> FloatArray:
+def _phi(model: InverseModel, places: FloatArray, unknowns: int) -> FloatArray:
     """Φ (rows, 3 unknowns) with the models at the places of its intervals; of γ the window's first knot is given."""
-    after, seen = segment_response(*model.plant_at(window.place), model.settings.rows_per_segment)
+    after, seen = segment_response(*model.plant_at(places), model.settings.rows_per_segment)
     hats = np.zeros((len(after) + 1, 3, 3 * unknowns))
     hats[1 : unknowns + 1] = np.eye(3 * unknowns).reshape(-1, 3, 3 * unknowns)
     state, phi = np.zeros((after.shape[1], 3 * unknowns)), []

@@ -196,18 +196,6 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     np.testing.assert_allclose(swept[knots - 1 :], 0.0, atol=1e-12)  # at rest after the end
 
 
-def test_stretches_leave_no_trace(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Solved in short stretches or in one, the command is the same within a fraction of a micrometre."""
-    settings = settings_for(machine)
-    (reference, *_) = references("lobed_vase", machine, settings, 1.0)
-    answers = []
-    for stretch in (60, 100_000):
-        monkeypatch.setattr(fast, "STRETCH", stretch)
-        answers.append(solved(InverseModel(machine, settings), reference).vertices)
-    assert reference.knots > 150
-    np.testing.assert_allclose(answers[0], answers[1], atol=5e-4)
-
-
 def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
     """C and τ are the real and imaginary parts of the FRF's inverse, at a frequency where little more is in it."""
     inverter = InverseModel(machine, Settings())

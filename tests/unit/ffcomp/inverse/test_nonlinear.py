@@ -16,10 +16,11 @@ from ffcomp.compensation.solve import solutions
 from ffcomp.inverse import nonlinear
 from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.feasible import SolvedSection
-from ffcomp.inverse.model import InverseModel, Iterate
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nonlinear import FrictionBacklash, guide_friction
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.solve import Sweep
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.kinds import delta_vibration
@@ -166,10 +167,10 @@ def longest_run() -> Reference:
     return max((each.reference for each in solved), key=lambda wanted: wanted.knots)
 
 
-def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Iterate, FloatArray]:
+def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Sweep, FloatArray]:
     """A run, and what is to be added to its command."""
     inverter = InverseModel(machine, settings_for(machine))
-    run = Iterate(inverter, longest_run())
+    run = Sweep(inverter, longest_run())
     return run, FrictionBacklash(inverter, machine).command(run, stretch)
 
 
