@@ -182,7 +182,7 @@ def augmented(states: int) -> int:
     return next(size for size in SIZES if size >= states + 2 * AXES)
 
 
-def no_gains(size: int, positions: int = 0) -> Gains:
+def no_gains(size: int, positions: int) -> Gains:
     """Return gains that are zero, for z of so many numbers."""
     rows = -(-(size + AXES) // VECTOR) * VECTOR
     return Gains(

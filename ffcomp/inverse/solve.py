@@ -23,7 +23,6 @@ from ffcomp.inverse.nearest import nearest_within_limits
 from ffcomp.inverse.reference import Reference
 from ffcomp.planner.segment_timing import sample_even_segments
 from models.arrays import BoolArray, FloatArray
-from models.compiled import kernel
 
 MOST_PASSES = 5
 CONVERGENCE_MM = 5e-3  # after so small a change, the next is a tenth of it
@@ -158,37 +157,16 @@ class Sweep:
         return np.concatenate([np.zeros((1, 3)), change]), state[: self.model.plant.table.plant.a.shape[1]]
 
     def begin(self) -> None:
-        """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*."""
+        """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*; q̈* is taken over two knots, for less noise."""
         if self.last > 1:
             model, s = self.model, self.model.settings
             knots = slice(s.substeps, self.last * s.substeps, s.substeps)
             ahead = model.kinematics.inverse(self.nozzle[knots] + self.velocity[knots] * model.delay_s)
-            edges = model.kinematics.inverse(self.reference.at_knots(np.array([-1, self.n + 1, self.n + 2])))
+            now, after, before = self.path_q[1 : self.last], self.path_q[3 : self.last + 2], np.empty_like(ahead)
+            before[0], before[1:] = self.path_q[0], self.path_q[: self.last - 2]  # it rests before the first knot
+            bend = (after - 2.0 * now + before) / (2.0 * s.segment_s) ** 2
             compliance = model.compliance_at(self.nozzle[knots, :2])
-            _slow_motion(edges, self.path_q, ahead, compliance, 2 * s.segment_s, self.gamma[1 : self.last])
-
-
-@kernel
-def _slow_motion(
-    edges: FloatArray, q: FloatArray, ahead: FloatArray, compliance: FloatArray, two_knots_s: float, gamma: FloatArray
-) -> None:
-    """Write γ (n, 3) mm of a slow motion, in place; q̈ is taken over two knots, for less noise.
-
-    edges : (3, 3) mm, actuators a knot before q and one and two after its last;  q : (m, 3) mm, of the window
-    ahead : (n, 3) mm, actuators one delay later;  compliance : (n, 3, 3) s²
-    """
-    m = len(q)
-    bend = np.empty(3)
-    for k in range(len(gamma)):
-        for i in range(3):
-            before = edges[0, i] if k == 0 else q[k - 1, i]
-            after = q[k + 3, i] if k + 3 < m else edges[k + 4 - m, i]
-            bend[i] = (after - 2 * q[k + 1, i] + before) / two_knots_s**2
-        for i in range(3):
-            bent = 0.0
-            for j in range(3):
-                bent += compliance[k, i, j] * bend[j]
-            gamma[k, i] = ahead[k, i] - q[k + 1, i] + bent
+            self.gamma[1 : self.last] = ahead - now + np.einsum("nij,nj->ni", compliance, bend)
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
