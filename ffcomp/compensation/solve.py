@@ -13,7 +13,7 @@ from ffcomp.firmware.program import PlannedProgram, section_planner
 from ffcomp.inverse.feasible import SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference
-from ffcomp.inverse.solve import solve
+from ffcomp.inverse.solve import held, solve
 from ffcomp.inverse.time_scaling import PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.trajectory import Section
@@ -105,7 +105,8 @@ def _linear(
             request = PlannedSection(program, trajectory, section, reference, state, replanner)
             solved = solve_feasible(model, request)
         else:
-            solved = SolvedSection(trajectory, section, reference, solve(model, reference, state))
+            solution = held(model, reference, state, solve(model, reference, state))
+            solved = SolvedSection(trajectory, section, reference, solution)
         solved = replace(solved, rest_s=rest)
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")

@@ -93,7 +93,7 @@ class SectionSearch:
         model, s = self.model, self.model.settings
         plan = plan_section(self.limits, self.moves, 0.0)
         reference = Reference(plan, Section(0, len(self.moves), True, 0.0, plan.end_t), s)
-        solution = solve(model, reference, self.state, enforce_limits=False)
+        solution = solve(model, reference, self.state)
         t = self.ensemble.times(reference)
         errors = self.ensemble.errors(reference, solution.vertices)
         self.counts = histogram(*errors, 1.0 / self.ceiling.bound_mm[plan.move_at(t)])

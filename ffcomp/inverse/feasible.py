@@ -62,7 +62,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
     """
     trajectory, section, settings = request.trajectory, request.section, model.settings
     for reference, gentle in _layouts(model, request):
-        free = solve(model, reference, request.state, enforce_limits=False)
+        free = solve(model, reference, request.state)
         if (found := _within_limits(model, request, (reference, free), gentle)) is not None:
             return SolvedSection(trajectory, section, *found)
     scaled = ScaledSection(model, request)
@@ -115,7 +115,7 @@ def _within_limits(model: InverseModel, request: PlannedSection, command: Comman
         if left:
             reference = copy(reference)
             reference.calm(beyond)
-            solution = solve(model, reference, request.state, enforce_limits=False)
+            solution = solve(model, reference, request.state)
     return None
 
 

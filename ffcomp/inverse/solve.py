@@ -55,17 +55,16 @@ class Solution:
         return float(self.demand.max())
 
 
-def solve(model: InverseModel, reference: Reference, state: FloatArray, *, enforce_limits: bool = True) -> Solution:
-    """Solve one section.
+def solve(model: InverseModel, reference: Reference, state: FloatArray) -> Solution:
+    """Solve one section, without limits.
 
     Parameters
     ----------
     model : of the machine
     reference : of the section
     state : (18,) of the plant at the section's first knot
-    enforce_limits : False leaves a command above a limit unchanged
     """
-    sweep, limited = Sweep(model, reference), tuple[LimitedWindow, ...]()
+    sweep = Sweep(model, reference)
     sweep.begin()
     for _ in range(MOST_PASSES):
         error, states = sweep.error_from(state)
@@ -73,18 +72,23 @@ def solve(model: InverseModel, reference: Reference, state: FloatArray, *, enfor
         sweep.gamma += change
         if float(np.abs(change[: sweep.last + 1]).max()) < CONVERGENCE_MM:
             break
-    vertices, after = sweep.command(sweep.gamma), states[sweep.last] + ringing
-    demand = utilisation_from_rest(vertices, model.limits)
-    if enforce_limits and demand.max() > 1.0:
-        path = reference.at_knots(np.arange(sweep.last + 1))
-        held = nearest_within_limits(vertices, path, model.limits, model.kinematics)
-        moved, vertices = np.abs(held - vertices).max(axis=1) > MOVED_MM, held
-        sweep.take(vertices)
-        error, states = sweep.error_from(state)
-        farthest = np.sqrt((error**2).sum(axis=1)).reshape(sweep.n, -1).max(axis=1)
-        limited, after = tuple(_windows(moved[:-1] | moved[1:], farthest[: sweep.last])), states[sweep.last]
-        demand = utilisation_from_rest(vertices, model.limits)
-    return Solution(vertices, after, demand, limited)
+    vertices = sweep.command(sweep.gamma)
+    return Solution(vertices, states[sweep.last] + ringing, utilisation_from_rest(vertices, model.limits))
+
+
+def held(model: InverseModel, reference: Reference, state: FloatArray, solution: Solution) -> Solution:
+    """Return the nearest command to a solution within the limits, and where it leaves the path."""
+    if solution.limited or not solution.utilisation > 1.0:
+        return solution
+    sweep = Sweep(model, reference)
+    path = reference.at_knots(np.arange(sweep.last + 1))
+    vertices = nearest_within_limits(solution.vertices, path, model.limits, model.kinematics)
+    moved = np.abs(vertices - solution.vertices).max(axis=1) > MOVED_MM
+    sweep.take(vertices)
+    error, states = sweep.error_from(state)
+    farthest = np.sqrt((error**2).sum(axis=1)).reshape(sweep.n, -1).max(axis=1)
+    limited = tuple(_windows(moved[:-1] | moved[1:], farthest[: sweep.last]))
+    return Solution(vertices, states[sweep.last], utilisation_from_rest(vertices, model.limits), limited)
 
 
 def _windows(moved: BoolArray, error: FloatArray) -> Iterator[LimitedWindow]:

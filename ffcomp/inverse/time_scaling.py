@@ -42,7 +42,7 @@ from ffcomp.inverse.command_limits import (
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Reference, context_s, ranges
 from ffcomp.inverse.settings import CUT
-from ffcomp.inverse.solve import Solution, solve
+from ffcomp.inverse.solve import Solution, held, solve
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
@@ -194,7 +194,7 @@ class ScaledSection:
             if not self._fit():
                 self.moves, self.plan, self.reasons = moves, plan, {}
             reference, solution, violations = self._attempt(tolerance_mm, self._free())
-            solution = self._solved(reference) if violations else solution
+            solution = self._held(reference, solution) if violations else solution
         return reference, solution
 
     def scale(self, tolerance_mm: float, first: Command | None = None) -> Command:
@@ -208,10 +208,10 @@ class ScaledSection:
             reach = max(number - LOCAL_ROUNDS, 0)
             if not self._slow(reference, violations, reach):
                 # the rest is near a cut: constrained, off the path; a warning states where a limit is still exceeded
-                return reference, self._solved(reference)
+                return reference, self._held(reference, solution)
             self._plan_again()
-        reference, _, violations = self._attempt(tolerance_mm, self._free())
-        solution = self._solved(reference)
+        reference, solution, violations = self._attempt(tolerance_mm, self._free())
+        solution = self._held(reference, solution)
         if self.extent == WHOLE and solution.utilisation > 1.0 + SOLVER_ACCURACY:
             line = self._line_of(reference, violations[0])
             raise LimitsError(
@@ -242,10 +242,10 @@ class ScaledSection:
         reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
             reference.calm(self._slower_segments(reference))
-        return reference, self._solved(reference, enforce_limits=False)
+        return reference, solve(self.model, reference, self.request.state)
 
-    def _solved(self, reference: Reference, enforce_limits: bool = True) -> Solution:
-        return solve(self.model, reference, self.request.state, enforce_limits=enforce_limits)
+    def _held(self, reference: Reference, solution: Solution) -> Solution:
+        return held(self.model, reference, self.request.state, solution)
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
@@ -267,7 +267,7 @@ class ScaledSection:
             return reference, solution, violations
         whole = (begin, end) == (0, reference.knots)
         if not (asked if whole else asked[1:-1][begin:end]).max() <= 1.0:  # nor if not a number
-            solution = self._solved(reference)
+            solution = self._held(reference, solution)
             violations = among(solution_violations(solution, asked[1:-1], tolerance_mm))
         late = late_segments(model, reference, solution.vertices, self.plan.start_t[self._after_events])
         timing = (Violation(a, b - 1, TIMING, 0, 1.0, LATE_FACTOR) for a, b in ranges(widened(late, 1)))

@@ -70,7 +70,7 @@ def test_it_is_quicker_and_the_response_keeps_the_bound(squares: Program, model:
     (section,) = quick.sections
     reference = Reference(quick.trajectory, section, model.settings)
     state = model.machine.equilibrium(squares.moves.start[0, :3])
-    solution = solve(model, reference, state, enforce_limits=False)
+    solution = solve(model, reference, state)
     response, _ = model.respond(reference, model.executed(reference, solution.vertices), state)
     corners = np.vstack([squares.moves.start[:, :3], squares.moves.end[-1:, :3]])
     error = contour_error_in_order(corners, response)

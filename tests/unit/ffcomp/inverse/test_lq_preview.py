@@ -75,7 +75,7 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
     gcode = {VELOCITY: b"G1 X-20 Y0 Z20 F9000\n", TRAVEL: b"G1 X-50 Y20 F9000\n"}.get(limit, CORNER)
     reference = reference_of(gcode, machine, settings)
     inverter = InverseModel(machine, settings)
-    free = solve(inverter, reference, state, enforce_limits=False)
+    free = solve(inverter, reference, state)
     plan = reference.at_knots(np.arange(reference.knots + 1))
     asked, given = (utilisation_from_rest(v, inverter.limits) for v in (free.vertices, plan))
     own = machine.limits
@@ -90,7 +90,8 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
         names = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2")
         bound = replace(own, **{names[limit]: share * getattr(own, names[limit])})
     held_inverter = InverseModel(replace(machine, limits=bound), settings)
-    held = solve(held_inverter, reference, state)
+    again = solve(held_inverter, reference, state)
+    held = fast.held(held_inverter, reference, state, again)
     assert held.limited
     assert peak_utilisation(free.vertices, held_inverter.limits) > 1.0
     assert held.utilisation <= 1.0
@@ -100,7 +101,6 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
     beyond = utilisation_from_rest(free.vertices, held_inverter.limits)[1:-1]
     for share, slows in ((1.1, False), (0.9, True)):  # the tolerance decides between an error and a delay
         assert any(solution_violations(held, beyond, share * worst)) == slows
-    again = solve(held_inverter, reference, state, enforce_limits=False)
     assert len(again.limited) == 0
     np.testing.assert_array_equal(again.vertices, free.vertices)
 
