@@ -203,10 +203,10 @@ def steps(paths: Sequence[Path], rounds: int) -> Rows:
             plan = firmware_plan(read_program(path.read_bytes(), path.name), MACHINE)
 
             def written(to: Path, error_s: float | None, plan: Any = plan) -> int:
-                with StepSink(MACHINE, BOARD, to, error_s) as sink:
-                    places = on_grid(plan.position(np.arange(plan.start_t[0], plan.end_t, 0.004)))
-                    sink.pieces(knot_pieces(0.1, 0.004, places[:, :3], places[:, 3]))
-                    return sum(total.steps for total in sink.finish().values())
+                sink = StepSink(MACHINE, BOARD, to, error_s)
+                places = on_grid(plan.position(np.arange(plan.start_t[0], plan.end_t, 0.004)))
+                sink.pieces(knot_pieces(0.1, 0.004, places[:, :3], places[:, 3]))
+                return sum(total.steps for total in sink.finish().values())
 
             count = written(exact, None)
             truth = read_steps(exact)

@@ -214,11 +214,8 @@ class Ensemble:
         return [(printer, self._plant(printer)) for printer in machines_off(machine, directions)]
 
     def _plant(self, machine: Machine) -> Schedule:
-        s = self.model.settings
-        return Schedule(
-            machine.kinematics,
-            plant_table(machine.kinematics, machine.vibration, s.segment_s / s.substeps, TABLE_PITCH_MM),
-        )
+        step_s = self.model.settings.segment_s / self.model.settings.substeps
+        return Schedule(machine.kinematics, plant_table(machine.kinematics, machine.vibration, step_s, TABLE_PITCH_MM))
 
     @cached_property
     def quantile_sd(self) -> float:

@@ -18,8 +18,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -162,12 +161,6 @@ class MotionSink:
         self._knots_since_rest = 0
         self._rests = self._height_known = True
         self._records = self._text_bytes = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def event(self, t: float, line: bytes, *, still: bool = False) -> None:
         """Add a G-code line to run at the time t, s; still: nothing moves by it.

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -125,7 +124,7 @@ def _shown(place: FloatArray) -> str:
 class StepSink:
     """Writes the archive of FORMATS.md, section 5: `steps`, or `klipper-steps` if an error is allowed.
 
-        with StepSink(machine, Board(extruder_steps_per_mm=415.0), target) as sink:
+        with closing(StepSink(machine, Board(extruder_steps_per_mm=415.0), target)) as sink:
             sink.pieces(knot_pieces(0.1, 0.004, vertices, filament))
             sink.event(12.5, b"M106 S255")
             totals = sink.finish()
@@ -154,12 +153,6 @@ class StepSink:
         self._end_t = 0.0
         self._end: FloatArray | None = None  # (4,) mm, where the last piece ended
         self._last_event_t = 0.0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def pieces(self, pieces: Pieces) -> None:
         """Take the next part of the path; how a path is cut into calls changes nothing.

@@ -60,7 +60,8 @@ def plan(name: str) -> Trajectory:
 @cache
 def ours(name: str, error_s: float | None) -> dict[str, MotorSteps]:
     machine = replace(host_machine(), steps=Steps(0.5 / kalico.HALF_STEP_MM))
-    with tempfile.TemporaryDirectory() as folder, StepSink(machine, BOARD, Path(folder, "steps"), error_s) as sink:
+    with tempfile.TemporaryDirectory() as folder:
+        sink = StepSink(machine, BOARD, Path(folder, "steps"), error_s)
         for pieces in trajectory_pieces(plan(name)):
             sink.pieces(pieces)
         sink.finish()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ def kinds(records: list[Any]) -> str:
 
 
 def write(path: Path, *parts: tuple[float, Any], events: tuple[tuple[float, bytes], ...] = ()) -> None:
-    with MotionSink(path, {"compensated": True}) as sink:
+    with closing(MotionSink(path, {"compensated": True})) as sink:
         for event in events:
             sink.event(*event)
         for start_t, knots in parts:

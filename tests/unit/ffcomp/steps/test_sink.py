@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def planned() -> Trajectory:
 
 
 def written(path: Path, error_s: float | None = None, at_once: int = 10_000) -> dict[str, MotorTotal]:
-    with StepSink(MACHINE, BOARD, path, error_s) as out:
+    with closing(StepSink(MACHINE, BOARD, path, error_s)) as out:
         for t, line in EVENTS:
             out.event(t, line)
         for pieces in trajectory_pieces(planned(), 0.1):
@@ -82,7 +83,7 @@ def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s
 
 
 def write_all(target: Path, chunks: Iterable[Pieces]) -> None:
-    with StepSink(MACHINE, BOARD, target) as out:
+    with closing(StepSink(MACHINE, BOARD, target)) as out:
         for pieces in chunks:
             out.pieces(pieces)
         out.finish()
@@ -118,7 +119,7 @@ def test_a_little_too_fast_is_put_off_and_reported(tmp_path: Path) -> None:
     """Three microsteps at twice the pace that a board can follow: the third is as late as two half pulses."""
     pace = BOARD.pulse_spacing_s
     vertices = np.array([[0, 0, 5.0], [0, 0, 5.0 + 3 / MACHINE.steps.steps_per_mm]])
-    with StepSink(MACHINE, BOARD, tmp_path / "steps") as out:
+    with closing(StepSink(MACHINE, BOARD, tmp_path / "steps")) as out:
         out.pieces(knot_pieces(0.1, 1.5 * pace, vertices, np.zeros(2)))
         total = out.finish()["a"]
     assert total.steps == 3
