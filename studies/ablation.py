@@ -29,7 +29,6 @@ OFF: Mapping[str, SearchSettings] = {
     "several sizes to begin at": replace(SETTINGS, starts=1),
     "several effects next to each": replace(SETTINGS, tried=2),
     "other forms of an effect": replace(SETTINGS, forms=0),
-    "a share that an added effect must remove": replace(SETTINGS, added_share=0.0),
     "an excerpt of long recordings": replace(SETTINGS, excerpt_information=np.inf),
     "coarse simulations": replace(SETTINGS, coarse_error=0.0),
     "the loudest motions first": replace(SETTINGS, subset_worth=0.0),

@@ -108,19 +108,13 @@ def may_join(name: str, h: Hypothesis) -> bool:
 # ---- evidence ------------------------------------------------------------------------------------
 
 
-def significant(larger: Fit, smaller: Fit, settings: SearchSettings, share: float | None = None) -> bool:
-    """Tell whether the larger model is worth its cost, and removes a good share of the discrepancy.
-
-    Parameters
-    ----------
-    share : of the discrepancy; None: what an added effect removes at least.
-    """
+def significant(larger: Fit, smaller: Fit, settings: SearchSettings, share: float) -> bool:
+    """Tell whether the larger model is worth its cost, and removes more than this share of the discrepancy."""
     remains = max(smaller.cost - len(smaller.residual), 0.0)
-    enough = settings.added_share if share is None else share
-    return larger.ahead_of(smaller) > settings.significant and smaller.cost - larger.cost > enough * remains
+    return larger.ahead_of(smaller) > settings.significant and smaller.cost - larger.cost > share * remains
 
 
-def worth(estimation: EstimationProblem, larger: Fit, smaller: Fit, share: float | None = None) -> bool:
+def worth(estimation: EstimationProblem, larger: Fit, smaller: Fit, share: float) -> bool:
     """Tell whether the larger model is significant, by a noise that is known.
 
     By one that is only guessed, any number of rows makes the smallest difference significant: there it must take a

@@ -105,15 +105,20 @@ def find_best(search: Search) -> Selection:
 
 
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
-    """Tell whether a larger hypothesis is better, also where it was not fitted: more numbers always fit better."""
+    """Tell whether a larger hypothesis explains most of what the smaller one leaves, also where it was not fitted.
+
+    Whatever bends a rest that nothing known explains takes up some of it.
+    """
     estimation = search.estimation
-    here = significant(larger.fit, smaller.fit, search.settings)
-    nothing = estimation.tolerance * len(estimation.measured)  # is left there
-    elsewhere = here and left_elsewhere(estimation, larger.fit) < max(left_elsewhere(estimation, smaller.fit), nothing)
-    reason = "" if elsewhere else "no better where it was left out" if here else "not significant"
-    outcome = "kept" if elsewhere else "dropped"
+    if not significant(larger.fit, smaller.fit, search.settings, search.settings.dominant):
+        reason = "not significant"
+    else:
+        least = estimation.tolerance * len(estimation.measured)
+        most = max((1 - search.settings.dominant) * left_elsewhere(estimation, smaller.fit), least)
+        reason = "" if left_elsewhere(estimation, larger.fit) < most else "leaves too much where it was left out"
+    outcome = "dropped" if reason else "kept"
     estimation.trace.add("level", larger.names, evidence=larger.fit.evidence, outcome=outcome, reason=reason)
-    return elsewhere
+    return not reason
 
 
 def _asks_for_more(search: Search, h: Hypothesis) -> bool:
@@ -410,7 +415,7 @@ def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis])
         fitted = [continue_fit(estimation, rest, search.progress) for rest in rests]
         known = [h for h in tried if h.names in [rest.names for rest in rests]]
         smaller = likeliest([*fitted, *known])[0]
-        needed = worth(estimation, best.fit, smaller.fit)
+        needed = worth(estimation, best.fit, smaller.fit, search.settings.dominant)
         outcome, reason = "refused" if needed else "kept", f"of {' + '.join(best.names)}"
         estimation.trace.add("drop", smaller.names, outcome=outcome, reason=reason)
         if needed:

@@ -30,7 +30,6 @@ class SearchSettings:
     loud_noise: float = _setting(0.1, "of the signals, rms", "with more noise, `none` is not said")
     # ---- evidence ----
     significant: float = _setting(10.0, "−2 ln Z", "gain of a hypothesis that is worth more numbers", "Kass 1995")
-    added_share: float = _setting(0.5, "of the discrepancy", "what an added effect removes: more than it leaves")
     reshaped_share: float = _setting(0.1, "of the discrepancy", "what a freer shape of an effect removes at least")
     trace: float = _setting(1e-2, "of the discrepancy", "what an effect's formula may leave: a tenth of its amplitude")
     # ---- breadth of the search ----
@@ -47,7 +46,7 @@ class SearchSettings:
     coarse_error: float = _setting(1e-3, "of |r|²", "error of coarse simulations, at most")
     # ---- acceptance ----
     left: float = _setting(0.05, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
-    dominant: float = _setting(0.6, "of the discrepancy", "what one effect explains elsewhere, to be named with a rest")
+    dominant: float = _setting(0.6, "of the discrepancy", "what an effect explains, named with a rest, or beside one")
     ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
     signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
 
