@@ -81,7 +81,7 @@ def held(model: InverseModel, reference: Reference, state: FloatArray, solution:
     if solution.limited or not solution.utilisation > 1.0:
         return solution
     sweep = Sweep(model, reference)
-    path = reference.at_knots(np.arange(sweep.last + 1))
+    path = sweep.path[: sweep.last + 1]
     vertices = nearest_within_limits(solution.vertices, path, model.limits, model.kinematics)
     moved = np.abs(vertices - solution.vertices).max(axis=1) > MOVED_MM
     sweep.take(vertices)
@@ -111,15 +111,17 @@ class Sweep:
         self.last = reference.knots  # the knot where the command comes to rest
         self.n = self.last + REST_ROWS
         self.gamma = np.zeros((self.n + 1, 3))
-        self.nozzle, self.velocity = reference.substeps(0, self.n)
-        self.path_q = kinematics.inverse(self.nozzle[:: s.substeps])
-        self.place = model.places(self.nozzle)
-        self._centripetal = kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
+        nozzle, velocity = reference.substeps(0, self.n)
+        # at the knots: of long sections the steps between are not kept
+        self.path, self._velocity = nozzle[:: s.substeps].copy(), velocity[:: s.substeps].copy()
+        self.path_q = kinematics.inverse(self.path)
+        self.place = model.places(nozzle)
+        self._centripetal = kinematics.rate_term(nozzle, np.ascontiguousarray(velocity))
         self._extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(REST_ROWS)])
         self._stride = s.substeps // s.rows_per_segment
         known = reference.robust_offset
         self.robust_offset = model.robust_offsets([reference])[0] if known is None else known  # (rows, 3) mm; or empty
-        self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
+        self._due = nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
         self._due[: len(self.robust_offset)] += self.robust_offset
         self._node, self._steady = model.gains.at(self.place)
         self._ending = _to_rest(model.gains, self._node, len(self._steady.backward))
@@ -163,14 +165,12 @@ class Sweep:
     def begin(self) -> None:
         """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*; q̈* is taken over two knots, for less noise."""
         if self.last > 1:
-            model, s = self.model, self.model.settings
-            knots = slice(s.substeps, self.last * s.substeps, s.substeps)
-            ahead = model.kinematics.inverse(self.nozzle[knots] + self.velocity[knots] * model.delay_s)
+            model, path = self.model, self.path[1 : self.last]
+            ahead = model.kinematics.inverse(path + self._velocity[1 : self.last] * model.delay_s)
             now, after, before = self.path_q[1 : self.last], self.path_q[3 : self.last + 2], np.empty_like(ahead)
             before[0], before[1:] = self.path_q[0], self.path_q[: self.last - 2]  # it rests before the first knot
-            bend = (after - 2.0 * now + before) / (2.0 * s.segment_s) ** 2
-            compliance = model.compliance_at(self.nozzle[knots, :2])
-            self.gamma[1 : self.last] = ahead - now + np.einsum("nij,nj->ni", compliance, bend)
+            bend = (after - 2.0 * now + before) / (2.0 * model.settings.segment_s) ** 2
+            self.gamma[1 : self.last] = ahead - now + np.einsum("nij,nj->ni", model.compliance_at(path[:, :2]), bend)
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
