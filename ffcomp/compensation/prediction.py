@@ -99,7 +99,7 @@ class Prediction:
         model, s, samples, every = self.model, self.model.settings, self.samples, self.every
         reference = solved.reference
         self.covered_s += length
-        nozzle, velocity = reference.substeps(0, reference.knots)
+        nozzle, velocity = reference.substeps(reference.knots)
         if not self.ringing or solved.rest_s is None:
             states = [model.machine.equilibrium(nozzle[0])] * 2
         else:
@@ -162,6 +162,6 @@ class Prediction:
         kinematics, substeps = model.kinematics, model.settings.substeps
         solved_for = model.executed(reference, solved.solution.vertices)
         added = kinematics.inverse(command) - kinematics.inverse(solved_for)
-        place = model.places(reference.substeps(0, reference.knots)[0])
+        place = model.places(reference.substeps(reference.knots)[0])
         q, _ = model.plant.play(place, np.zeros_like(added), added, np.zeros_like(state), substeps)
         return kinematics.forward(kinematics.inverse(known) + q), state

@@ -253,7 +253,7 @@ class Ensemble:
         if not self.perturbed:
             return
         model, s = self.model, self.model.settings
-        nozzle, velocity = reference.substeps(0, reference.knots)
+        nozzle, velocity = reference.substeps(reference.knots)
         place = model.places(nozzle)
         centripetal = model.kinematics.rate_term(nozzle, np.ascontiguousarray(velocity))
         command = model.kinematics.inverse(played)

@@ -221,6 +221,14 @@ class PreviewGains:
                 self._add(some, _packed(p, feedback, preview, self.control_weight))
         return node, self._steady
 
+    def along(self, place: FloatArray) -> tuple[IntArray, Gains, Gains]:
+        """Which gains serve at places (n, 2) mm on the way to rest: nodes (n,), which count the steady and the last."""
+        node, steady = self.at(place)
+        affected = TO_THE_END + REST_ROWS
+        n, ending = min(affected, len(node)), self.end(int(node[-1]))
+        node[len(node) - n :] = len(steady.backward) + np.arange(affected - n, affected)
+        return node, steady, ending
+
     def segment_plant(self, node: IntArray) -> SegmentPlant:
         """Return the problem that is solved at nodes (g,) of the grid."""
         across = 2 * self._half + 1

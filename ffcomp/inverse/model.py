@@ -200,7 +200,7 @@ class InverseModel:
 
         command : (n + 1, 3) mm, of the nozzle;  state : (18,) at the section's beginning
         """
-        nozzle, velocity = map(np.ascontiguousarray, reference.substeps(0, reference.knots))
+        nozzle, velocity = map(np.ascontiguousarray, reference.substeps(reference.knots))
         rates, moved = self.kinematics.rate_term(nozzle, velocity), self.kinematics.inverse(command)
         q, states = self.plant.play(self.places(nozzle), rates, moved, state, self.settings.substeps)
         return self.kinematics.forward(q), states[-1]

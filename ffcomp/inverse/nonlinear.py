@@ -111,7 +111,7 @@ class FrictionBacklash:
         stretch : (rows, 3) mm, of the belts at the section's substeps, without these effects; its last row stays
         """
         s, kinematics = self._model.settings, self._model.kinematics
-        (nozzle, _), place = sweep.reference.substeps(0, sweep.n), sweep.place
+        (nozzle, _), place = sweep.reference.substeps(sweep.n), sweep.place
         e = self._beyond(kinematics.inverse(nozzle), stretch)
         rows = slice(s.substeps // s.rows_per_segment - 1, None, s.substeps // s.rows_per_segment)
         jacobian = self._model.machine.kinematics.jacobian(nozzle[1:, :2][rows])
@@ -273,7 +273,7 @@ def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], see
 def _judge(each: _Round, nozzle: FloatArray) -> None:
     """Keep the simulated command if it is the best, and of it the positions that are."""
     sweep, s = each.sweep, each.sweep.model.settings
-    reference, _ = sweep.reference.substeps(0, sweep.n)
+    reference, _ = sweep.reference.substeps(sweep.n)
     rows = min(len(nozzle), len(reference))
     error = np.zeros_like(reference)
     error[:rows] = reference[:rows] - nozzle[:rows]

@@ -111,10 +111,9 @@ class Reference:
         first = 0 if begin_t is None else round(self.knot_of(begin_t))
         self.written = first, self.knots if end_t is None else round(self.knot_of(end_t))
 
-    def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-        """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""
-        count = (last - first) * self._substeps + 1
-        t = self.t0 + first * self._segment_s + np.arange(count, dtype=np.float64) * self._substep_s
+    def substeps(self, last: int) -> tuple[FloatArray, FloatArray]:
+        """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep until a knot, included."""
+        t = self.t0 + np.arange(last * self._substeps + 1, dtype=np.float64) * self._substep_s
         return self._trajectory.motion_within(t, self._section.begin_t, self._section.end_t)
 
     def nozzle(self, t: FloatArray) -> FloatArray:

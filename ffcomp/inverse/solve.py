@@ -14,10 +14,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse.command_limits import utilisation_from_rest
-from ffcomp.inverse.gains import REST_ROWS, TO_THE_END, Gains, PreviewGains, sweep_back, sweep_forward
+from ffcomp.inverse.gains import REST_ROWS, sweep_back, sweep_forward
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nearest import nearest_within_limits
 from ffcomp.inverse.reference import Reference
@@ -111,7 +110,7 @@ class Sweep:
         self.last = reference.knots  # the knot where the command comes to rest
         self.n = self.last + REST_ROWS
         self.gamma = np.zeros((self.n + 1, 3))
-        nozzle, velocity = reference.substeps(0, self.n)
+        nozzle, velocity = reference.substeps(self.n)
         # at the knots: of long sections the steps between are not kept
         self.path, self._velocity = nozzle[:: s.substeps].copy(), velocity[:: s.substeps].copy()
         self.path_q = kinematics.inverse(self.path)
@@ -123,8 +122,7 @@ class Sweep:
         self.robust_offset = model.robust_offsets([reference])[0] if known is None else known  # (rows, 3) mm; or empty
         self._due = nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
         self._due[: len(self.robust_offset)] += self.robust_offset
-        self._node, self._steady = model.gains.at(self.place)
-        self._ending = _to_rest(model.gains, self._node, len(self._steady.backward))
+        self._node, self._steady, self._ending = model.gains.along(self.place)
 
     def command(self, gamma: FloatArray) -> FloatArray:
         """Return the nozzle's command (last + 1, 3) mm by some coefficients."""
@@ -171,12 +169,3 @@ class Sweep:
             before[0], before[1:] = self.path_q[0], self.path_q[: self.last - 2]  # it rests before the first knot
             bend = (after - 2.0 * now + before) / (2.0 * model.settings.segment_s) ** 2
             self.gamma[1 : self.last] = ahead - now + np.einsum("nij,nj->ni", model.compliance_at(path[:, :2]), bend)
-
-
-def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
-    """Return the gains before the section's end, to which `node` (n,) then points, counted after the steady ones."""
-    affected = TO_THE_END + REST_ROWS
-    n = min(affected, len(node))
-    ending = gains.end(int(node[-1]))
-    node[len(node) - n :] = steady + np.arange(affected - n, affected)
-    return ending

@@ -58,7 +58,7 @@ def test_the_response_is_the_path(machine: Machine, exact: bool) -> None:
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     solved = solve_exactly(inverter, reference, state) if exact else None
     result = solved or solve(inverter, reference, state)
-    nozzle, velocity = reference.substeps(0, reference.knots)
+    nozzle, velocity = reference.substeps(reference.knots)
     plain, _ = inverter.plant.respond(nozzle, velocity, state, SETTINGS.substeps)
     error = np.sqrt(np.mean(np.sum((response(inverter, reference, result) - nozzle[1:]) ** 2, axis=1)))
     without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
@@ -95,7 +95,7 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
     assert held.limited
     assert peak_utilisation(free.vertices, held_inverter.limits) > 1.0
     assert held.utilisation <= 1.0
-    nozzle, _ = reference.substeps(0, reference.knots)
+    nozzle, _ = reference.substeps(reference.knots)
     assert np.abs(response(held_inverter, reference, held) - nozzle[1:]).max() < 0.1  # it still follows
     worst = max(each.error_mm for each in held.limited)
     beyond = utilisation_from_rest(free.vertices, held_inverter.limits)[1:-1]
@@ -187,9 +187,7 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     right = np.hstack([error, -effort]).ravel()
     dense = np.linalg.lstsq(np.concatenate(rows), right, rcond=None)[0].reshape(-1, 3)
 
-    node = np.full(intervals, slot)
-    steady = preview.at(place)[1]
-    ending = fast._to_rest(preview, node, len(steady.backward))
+    node, steady, ending = preview.along(np.repeat(place, intervals, axis=0))
     psi = fast.sweep_back(steady.backward, ending.backward, node, error, present)
     swept, _ = fast.sweep_forward(steady.forward, ending.forward, node, psi, intervals)
     np.testing.assert_allclose(swept[: knots - 1], dense, atol=1e-6 * np.abs(dense).max())

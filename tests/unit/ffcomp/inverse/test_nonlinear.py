@@ -58,7 +58,7 @@ def tracking_um(answers: list[SolvedSection]) -> float:
     """Rms of the error that the loop has seen in the end."""
     errors = []
     for each in answers:
-        wanted, _ = each.reference.substeps(0, each.reference.knots)
+        wanted, _ = each.reference.substeps(each.reference.knots)
         errors.append(np.sum((wanted[1:] - each.solution.response) ** 2, axis=1))
     return 1e3 * float(np.sqrt(np.mean(np.concatenate(errors))))
 

@@ -90,7 +90,7 @@ def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> t
 
 
 def error_um(found: SolvedSection, inverter: InverseModel) -> float:
-    reference, nozzle = found.reference, found.reference.substeps(0, found.reference.knots)[0]
+    reference, nozzle = found.reference, found.reference.substeps(found.reference.knots)[0]
     command = inverter.executed(reference, found.solution.vertices)
     response, _ = inverter.respond(reference, command, inverter.machine.equilibrium(nozzle[0]))
     return 1e3 * float(np.sqrt(((response - nozzle[1:]) ** 2).sum(axis=1)).max())
@@ -220,7 +220,7 @@ def test_no_reference_holds_the_place_of_the_next_section(early_s: float) -> Non
     start_t[section.last] = section.end_t - early_s
     reference = Reference(replace(plan, start_t=start_t), section, Settings(substeps=4))
     knots = np.arange(-5, reference.knots + 6)
-    for nozzle in (reference.at_knots(knots), reference.substeps(0, reference.knots + 4)[0]):
+    for nozzle in (reference.at_knots(knots), reference.substeps(reference.knots + 4)[0]):
         np.testing.assert_allclose(nozzle[-1], [20.0, 10.0, 5.0], atol=1e-9)
         assert np.abs(np.diff(nozzle, axis=0)).max() < 1.0
     assert reference.extrusion()[-1] == pytest.approx(planned_of_reference.program.moves.end[section.last - 1, 3])
