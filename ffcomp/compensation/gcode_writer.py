@@ -22,7 +22,6 @@ from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.firmware.base import Filament, FileLimits
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.feasible import SolvedSection
-from ffcomp.inverse.settings import CUT
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.segment_merging import merge
@@ -277,7 +276,7 @@ class GcodeRenderer:
         if s.joins_lifts:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
         of_points = at[stay], points[stay], timeline.e[stay]
-        chosen = merge(*of_points, pinned, self.merging, CUT)
+        chosen = merge(*of_points, pinned, self.merging)
         chosen, due, points, fixed = self.firmware.ends(*of_points, chosen, pinned, self.inside)
         kept = stay[chosen]
         at, e = due, np.interp(due, at, timeline.e)

@@ -102,7 +102,7 @@ class Reference:
             self.t0 = begin_t - CUT * cuts * settings.segment_s
         length = section.end_t - self.t0 + tail_s
         self.knots = _segments_of(length, settings.segment_s)
-        self.shortest_knots = settings.merging.shortest  # that a segment must have
+        self.shortest_knots = settings.shortest_knots  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps = settings.substeps

@@ -124,8 +124,7 @@ class WriterSettings:
     merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not off its path,
     merge_filament_um: float = 0.2  # and than this in filament;
     longest_s: float = 0.25  # and no longer than this
-    shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
-    shortest_s: float = 1e-3  # or than this
+    shortest_s: float = 1e-3  # between lines of the file that cut segments
     embed: bool = True  # the file holds its original, as comments
 
 
@@ -159,6 +158,11 @@ class Settings:
         return self.compliance_s2[2] * self.output.z_acceleration_mm_per_s2 <= LIFT_LAG_MM
 
     @property
+    def shortest_knots(self) -> float:
+        """The knots between lines of the file that cut segments, at least."""
+        return min(self.writer.shortest_s / self.segment_s, 1.0)
+
+    @property
     def merging(self) -> MergeLimits:
         """The limits of a written segment."""
         writer = self.writer
@@ -167,8 +171,6 @@ class Settings:
             1e-3 * writer.merge_along_um,
             1e-3 * writer.merge_filament_um,
             writer.longest_s / self.segment_s,
-            min(writer.shortest_s / self.segment_s, 1.0),
-            1e-3 * writer.shortest_um,
         )
 
 

@@ -1,4 +1,4 @@
-"""Which points of a command become the ends of segments: as few as the accuracy allows, none too close to the last.
+"""Which points of a command become the ends of segments: as few as the accuracy allows.
 
 Between two kept points, the written command is straight and has one speed. Its error has two parts: across the
 direction it bends the path; along it the nozzle is only early or late.
@@ -13,13 +13,9 @@ import numpy as np
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
-MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = 2.0, 0.5  # knots that time may be ahead of or behind one segment per knot
-FIRST_KNOTS_AHEAD = 1.0  # the lead after a cut
 KNOT_ROUNDING = 1e-9  # of a knot
-WIDEST_TOLERANCE = 4.0  # times the tolerance, where time is behind
 CUT_SHORT_KNOTS = 0.6  # a segment shorter than that was cut by a line
 MOST_SHIFT = 0.03  # of such a segment: shift of its end
-COARSE_SHARE = 0.5  # of the shortest segment: error allowed for it
 
 
 class MergeLimits(NamedTuple):
@@ -29,27 +25,18 @@ class MergeLimits(NamedTuple):
     along_mm: float  # and along it
     filament_mm: float
     longest: float  # in knots
-    shortest: float  # in knots, unless lines of the file need a shorter one
-    shortest_mm: float
 
 
 @kernel
-def merge(
-    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits, cut: float
-) -> IntArray:
+def merge(at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits) -> IntArray:
     """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
-
-    Where a line cuts a segment in two, a knot was left out before, or is left out after it as soon as the path allows
-    at a few times the tolerance: so there are hardly more segments than knots in any span of time, and no turn is cut
-    off.
 
     Parameters
     ----------
     at : (n,) times of the points, in knots
     points : (n, 3) mm;  e : (n,) mm of filament
-    pinned : (n,) points that must stay
+    pinned : (n,) points that must stay; what is kept after one does not depend on what comes before it
     limits : bounds of a segment
-    cut : the result after a knot whose number divides by it is independent of the earlier ones
 
     Returns
     -------
@@ -58,21 +45,13 @@ def merge(
     n = len(points) - 1
     kept = np.empty(n + 1, dtype=np.int64)
     kept[0] = 0
-    count, first, pin = 1, kept[0], kept[0]  # a literal 0 would compile what is called for it by itself
-    ahead = FIRST_KNOTS_AHEAD  # knots that have gone by, less the segments that were used for them
+    count, first = 1, kept[0]  # a literal 0 would compile what is called for it by itself
     while first < n:
-        if pin <= first:
-            pin = first + 1
-            while pin < n and not pinned[pin]:
-                pin += 1
-        if at[first] % cut == 0.0:
-            ahead = FIRST_KNOTS_AHEAD
-        # rather here than where the next line cuts one
-        wider = min(max(1.0 - MOST_KNOTS_BEHIND - ahead, 0.0) + 1.0, WIDEST_TOLERANCE)
-        last = _furthest(at, points, e, first, pin, wider, limits)
-        if last < pin:
-            last = _balanced(at, points, e, first, last, pin, limits)
-        ahead = min(ahead + at[last] - at[first] - 1.0, MOST_KNOTS_AHEAD)
+        last = first + 1
+        while last < n and not pinned[last] and at[last + 1] - at[first] <= limits.longest:
+            if not _straight(at, points, e, first, last + 1, limits):
+                break
+            last += 1
         kept[count] = last
         count += 1
         first = last
@@ -221,76 +200,19 @@ def _solve_tridiagonal(diagonal: FloatArray, beside: FloatArray, right: FloatArr
 
 
 @kernel
-def _furthest(
-    at: FloatArray, points: FloatArray, e: FloatArray, first: int, pin: int, wider: float, limits: MergeLimits
-) -> int:
-    """Where the segment from `first` may end at the latest; before that, where it must be long enough.
-
-    wider : times the tolerances of its path
-    """
-    last, shortest_mm = first + 1, limits.shortest_mm
-    within = (wider * limits.across_mm, wider * limits.along_mm, limits.filament_mm)
-    while last < pin:
-        long_enough = _apart(points, first, last) >= shortest_mm
-        if at[last] - at[first] >= limits.shortest - KNOT_ROUNDING and (
-            long_enough or not _may_miss(at, points, e, first, last + 1, limits)
-        ):
-            break  # the latter: too short a segment rather than a turn that is cut off
-        last += 1
-    while last < pin and at[last + 1] - at[first] <= limits.longest:
-        if not _straight(at, points, e, first, last + 1, within):
-            break
-        last += 1
-    return last
-
-
-@kernel
-def _balanced(
-    at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, pin: int, limits: MergeLimits
-) -> int:
-    """Where the segment from `first` ends so that the rest until the pinned point is not too short."""
-    for j in range(last, first, -1):
-        in_time = at[pin] - at[j] >= limits.shortest and at[j] - at[first] >= limits.shortest - KNOT_ROUNDING
-        if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= limits.shortest_mm:
-            return j
-    return pin if _may_miss(at, points, e, first, pin, limits) else last
-
-
-@kernel
-def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, limits: MergeLimits) -> bool:
-    """Whether one segment may do because two would be too short; a loop or filament that turns back may not."""
-    near = _stays_near(points, first, last, 2.0 * limits.shortest_mm)
-    miss = 1e9 if near else COARSE_SHARE * limits.shortest_mm
-    return _straight(at, points, e, first, last, (miss, miss, limits.filament_mm))
-
-
-@kernel
-def _stays_near(points: FloatArray, first: int, last: int, near_mm: float) -> bool:
-    """Whether all points between are near the first one, and the last is."""
-    furthest = 0.0
-    for k in range(last, first, -1):
-        furthest = max(furthest, _apart(points, first, k))
-        if furthest >= near_mm:
-            break
-    return furthest < near_mm
-
-
-@kernel
 def _apart(points: FloatArray, a: int, b: int) -> float:
     x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     return np.sqrt(x * x + y * y + z * z)
 
 
 @kernel
-def _straight(
-    at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, tolerance: tuple[float, float, float]
-) -> bool:
+def _straight(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, limits: MergeLimits) -> bool:
     """Whether one segment stays so close to all points between: across its direction, along it, and in filament."""
     x, y, z = points[first, 0], points[first, 1], points[first, 2]
     dx, dy, dz = points[last, 0] - x, points[last, 1] - y, points[last, 2] - z
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     per_mm = 1.0 / length if length > 0.0 else 0.0
-    across, along, filament = tolerance
+    across, along, filament = limits.across_mm, limits.along_mm, limits.filament_mm
     for k in range(last - 1, first, -1):
         f = (at[k] - at[first]) / (at[last] - at[first])
         rx, ry, rz = points[k, 0] - x - f * dx, points[k, 1] - y - f * dy, points[k, 2] - z - f * dz

@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp.planner.segment_merging import (
-    FIRST_KNOTS_AHEAD,
-    MOST_KNOTS_AHEAD,
-    MOST_KNOTS_BEHIND,
     MergeLimits,
+    at_most,
     merge,
     refit,
 )
@@ -22,7 +20,7 @@ from tests.unit.ffcomp.planner.test_trajectory import wave
 
 FloatArray = NDArray[np.float64]
 
-LIMITS = MergeLimits(1.5e-3, 4e-3, 2e-4, 64.0, 0.25, 0.0)
+LIMITS = MergeLimits(1.5e-3, 4e-3, 2e-4, 64.0)
 
 
 def unpinned(points: FloatArray) -> NDArray[np.bool_]:
@@ -47,7 +45,7 @@ def test_segments_stay_within_the_tolerances(scale: float) -> None:
     limits = LIMITS._replace(across_mm=1e-3 * scale, along_mm=4e-3 * scale, longest=25.0)
     pinned = unpinned(vertices)
     pinned[[57, 58, 211]] = True
-    kept = merge(np.arange(401.0), vertices, e, pinned, limits, 1000)
+    kept = merge(np.arange(401.0), vertices, e, pinned, limits)
     assert kept[0] == 0 and kept[-1] == 400 and {57, 58, 211} <= set(kept.tolist())
     assert 1 <= np.diff(kept).min() <= np.diff(kept).max() <= 25
     across, along = missed(np.arange(401.0), vertices, kept)
@@ -66,13 +64,11 @@ def test_no_second_has_more_segments_than_it_may(quarters: list[int], seed: int,
     at = np.unique(np.concatenate([np.arange(101.0), lines]))
     rng = np.random.default_rng(seed)
     points = np.cumsum(np.diff(at, prepend=0.0)[:, None] * (1 + roughness * rng.normal(0, 1, (len(at), 3))), axis=0)
-    kept = at[merge(at, points, np.zeros(len(at)), np.isin(at, lines), LIMITS, 64)]
-    assert set(lines) <= set(kept) and np.diff(kept).min() >= 0.25
+    pinned = np.isin(at, lines)
+    kept = at[at_most(at, points, merge(at, points, np.zeros(len(at)), pinned, LIMITS), pinned, 49)]
+    assert set(lines) <= set(kept)
+    assert max(np.searchsorted(kept, kept + 50.0) - np.arange(len(kept))) <= 50
     if not roughness:
-        assert (
-            max(np.searchsorted(kept, kept + 50.0) - np.arange(len(kept)))
-            <= 50 + MOST_KNOTS_AHEAD + MOST_KNOTS_BEHIND + FIRST_KNOTS_AHEAD
-        )
         assert len(kept) < 0.3 * len(at) + 2 * len(lines)
 
 
@@ -81,10 +77,9 @@ def test_what_is_kept_after_a_cut_does_not_depend_on_what_came_before() -> None:
     t = np.sort(np.append(np.arange(401.0), [3.5, 17.25, 63.75, 64.5, 150.5]))
     points, filament = (np.stack([np.interp(t, np.arange(401), c) for c in v.T], 1) for v in (vertices, e[:, None]))
     pinned = (t % 64 == 0) | (t % 1 != 0)
-    limits = LIMITS._replace(shortest_mm=0.01)
-    whole = merge(t, points, filament[:, 0], pinned, limits, 64)
+    whole = merge(t, points, filament[:, 0], pinned, LIMITS)
     begin = int(np.searchsorted(t, 64.0))
-    part = merge(t[begin:], points[begin:], filament[begin:, 0], pinned[begin:], limits, 64)
+    part = merge(t[begin:], points[begin:], filament[begin:, 0], pinned[begin:], LIMITS)
     assert (whole[whole >= begin] - begin).tolist() == part.tolist()
 
 
