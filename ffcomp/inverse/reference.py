@@ -19,6 +19,7 @@ from models.arrays import FloatArray
 LEAST_S = 0.003  # least time of a command beyond a section that extrudes
 ALL_ROOM_FROM_S = 5.0  # of motion
 ROUNDING = 1e-6  # of a segment
+SHORTEST_S = 1e-3  # between lines of the file that cut segments
 FLOW_KNOTS = 6  # on either side of late segments, where the filament follows the command
 CALM_KNOTS = 10  # inverted plainly on either side of segments where the robust command exceeds a limit
 STANDS_MM = 1e-9
@@ -102,7 +103,7 @@ class Reference:
             self.t0 = begin_t - CUT * cuts * settings.segment_s
         length = section.end_t - self.t0 + tail_s
         self.knots = _segments_of(length, settings.segment_s)
-        self.shortest_knots = settings.shortest_knots  # that a segment must have
+        self.shortest_knots = min(SHORTEST_S / settings.segment_s, 1.0)
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps = settings.substeps

@@ -124,7 +124,6 @@ class WriterSettings:
     merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not off its path,
     merge_filament_um: float = 0.2  # and than this in filament;
     longest_s: float = 0.25  # and no longer than this
-    shortest_s: float = 1e-3  # between lines of the file that cut segments
     embed: bool = True  # the file holds its original, as comments
 
 
@@ -156,11 +155,6 @@ class Settings:
     def joins_lifts(self) -> bool:
         """Whether the nozzle follows a lift well enough to write it as planned, in one segment."""
         return self.compliance_s2[2] * self.output.z_acceleration_mm_per_s2 <= LIFT_LAG_MM
-
-    @property
-    def shortest_knots(self) -> float:
-        """The knots between lines of the file that cut segments, at least."""
-        return min(self.writer.shortest_s / self.segment_s, 1.0)
 
     @property
     def merging(self) -> MergeLimits:

@@ -14,8 +14,6 @@ from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
 KNOT_ROUNDING = 1e-9  # of a knot
-CUT_SHORT_KNOTS = 0.6  # a segment shorter than that was cut by a line
-MOST_SHIFT = 0.03  # of such a segment: shift of its end
 
 
 class MergeLimits(NamedTuple):
@@ -35,7 +33,7 @@ def merge(at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, 
     ----------
     at : (n,) times of the points, in knots
     points : (n, 3) mm;  e : (n,) mm of filament
-    pinned : (n,) points that must stay; what is kept after one does not depend on what comes before it
+    pinned : (n,) points that must stay; the choice after one is independent of earlier ones
     limits : bounds of a segment
 
     Returns
@@ -45,7 +43,7 @@ def merge(at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, 
     n = len(points) - 1
     kept = np.empty(n + 1, dtype=np.int64)
     kept[0] = 0
-    count, first = 1, kept[0]  # a literal 0 would compile what is called for it by itself
+    count, first = 1, kept[0]  # a literal 0 would compile the callees once more
     while first < n:
         last = first + 1
         while last < n and not pinned[last] and at[last + 1] - at[first] <= limits.longest:
@@ -93,15 +91,6 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
             weight[j], beside[j], beside[j - 1] = 1.0, 0.0, 0.0  # the last one has no neighbour: j - 1 of the first
             missed[j, 0], missed[j, 1], missed[j, 2] = 0.0, 0.0, 0.0
     _solve_tridiagonal(weight, beside, missed)
-    for j in range(1, m - 1):
-        moved = np.sqrt(missed[j, 0] ** 2 + missed[j, 1] ** 2 + missed[j, 2] ** 2)
-        near = np.inf
-        for k in (j - 1, j):
-            if at[kept[k + 1]] - at[kept[k]] < CUT_SHORT_KNOTS:  # its speed would become another one
-                near = min(near, _apart(points, kept[k], kept[k + 1]))
-        if moved > MOST_SHIFT * near:
-            for i in range(3):
-                missed[j, i] *= MOST_SHIFT * near / moved
     for j in range(m):
         for i in range(3):
             missed[j, i] += points[kept[j], i]
@@ -197,12 +186,6 @@ def _solve_tridiagonal(diagonal: FloatArray, beside: FloatArray, right: FloatArr
             if j + 1 < len(diagonal):
                 right[j, i] -= beside[j] * right[j + 1, i]
             right[j, i] /= diagonal[j]
-
-
-@kernel
-def _apart(points: FloatArray, a: int, b: int) -> float:
-    x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-    return np.sqrt(x * x + y * y + z * z)
 
 
 @kernel
