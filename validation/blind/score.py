@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from validation.blind.cases import Label
 from validation.blind.kinds import KINDS
@@ -146,14 +147,12 @@ class Rate:
         return f"{'reached' if reached else 'missed'}{'' if sure else ', not surely'}"
 
 
-def wilson(hits: int, total: int, z: float = 1.96) -> tuple[float, float]:
+def wilson(hits: int, total: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson, 1927)."""
     if total == 0:
         return 0.0, 1.0
-    share, spread = hits / total, z * z / total
-    middle = (share + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * math.sqrt(share * (1 - share) / total + spread / total / 4)
-    return max(0.0, middle - half), min(1.0, middle + half)
+    interval = binomtest(hits, total).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def rates(judged: Sequence[Judged]) -> list[Rate]:

@@ -93,7 +93,6 @@ class Trap:
     second: Feels | None = None  # what a second chip feels, if there is one
     chip: Callable[[Chip, Run], Chip] = lambda chip, _: chip
     written: Writes = lambda capture, _: capture
-    seed_of_plan: int = 1  # of the plan that is given with the captures
     axes_map: str | None = None
 
 
@@ -108,10 +107,10 @@ def tables_of(trap: Trap | None) -> tuple[Tables, Tables]:
 
 
 @cache
-def plan_for(seed: int) -> Plan:
+def plan_for_all() -> Plan:
     """Return three motions at three places, each made twice; whatever is wrong with a trap's file."""
     usual = machine_of_text(toml_of(tables_of(None)[1], "the owner's printer"), "machine.toml")
-    made = make_plan(usual, Request(places_mm=AT_MM, seconds=2.0, seed=seed))
+    made = make_plan(usual, Request(places_mm=AT_MM, seconds=2.0, seed=1))
     return replace(made, experiments=tuple(each for each in made.experiments if each.name in MADE))
 
 
@@ -149,8 +148,9 @@ def write(trap: Trap, folder: Path) -> list[Path]:
     for old in (folder / "captures").iterdir():
         old.unlink()
     (folder / "machine.toml").write_text(toml_of(tables_of(trap)[1], "the owner's printer"), encoding="utf-8")
-    save_plan(plan_for(trap.seed_of_plan), folder / "moves.json")
-    taken, paths = recorded(trap, plan_for(1)), []
+    plan = plan_for_all()
+    save_plan(plan, folder / "moves.json")
+    taken, paths = recorded(trap, plan), []
     for each in [trap.written(each, taken) for each in taken]:
         path = folder / "captures" / f"{each.chip}-{each.run.experiment}-{each.run.repeat}.csv"
         path.write_text(each.text or each.by_klipper(55.0 + 10.0 * each.run.index), encoding="utf-8")

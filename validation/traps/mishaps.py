@@ -12,8 +12,6 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from ffcomp.record.plan import Experiment
-from ffcomp.shapers.apply import shape
-from ffcomp.shapers.smooth import SHAPERS
 from validation.blind.delta import OUTSIDE
 from validation.blind.real import FloatArray, Real
 from validation.plants.accelerometer import Chip, klipper_text
@@ -59,13 +57,13 @@ def hiding(name: str) -> Spoiled:
 # ---- the firmware does not move as planned ------------------------------------------------------
 
 
-def replanned(speed: float = 1.0, acceleration: float = 1.0) -> Moved:
-    """Plan the same moves with a speed factor, or with another limit of acceleration: times its factor."""
+def replanned(acceleration: float) -> Moved:
+    """Plan the same moves with another limit of acceleration: times its factor."""
 
     def moved(experiment: Experiment) -> Nozzle:
         motion, limits = experiment.motion, experiment.motion.limits
         own = replace(limits, acceleration_mm_per_s2=acceleration * limits.acceleration_mm_per_s2)
-        return replace(motion, speed=speed * motion.speed, limits=own).nozzle
+        return replace(motion, limits=own).nozzle
 
     return moved
 
@@ -90,12 +88,6 @@ def _ramp(since: FloatArray, lasting: FloatArray, begin: FloatArray, end: FloatA
     """Distance in a ramp whose speed follows a polynomial of degree 5."""
     u = since / np.maximum(lasting, 1e-12)
     return np.asarray(begin * since + (end - begin) * lasting * (u**6 - 3 * u**5 + 2.5 * u**4))
-
-
-def shaped(**kinds: tuple[str, float]) -> Moved:
-    """The input shaper of x, of y or of both was left on: its kind and its frequency."""
-    shapers = {axis: SHAPERS[kind](hertz, 0.1) for axis, (kind, hertz) in kinds.items()}
-    return lambda experiment: lambda t: shape(experiment.motion.nozzle, t, **shapers)
 
 
 def bent(by: FloatArray) -> Moved:
@@ -149,11 +141,11 @@ def whining(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
     return felt + 5.0 * moving * np.sin(sweep + phase)
 
 
-def turned(degrees: float, repeats: Sequence[int] = (1, 2)) -> Callable[[Chip, Run], Chip]:
-    """The chip is turned about the vertical, perhaps between the repeats."""
+def turned(degrees: float) -> Callable[[Chip, Run], Chip]:
+    """The chip is turned about the vertical."""
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return lambda chip, run: replace(chip, turn=about @ chip.turn) if run.repeat in repeats else chip
+    return lambda chip, _: replace(chip, turn=about @ chip.turn)
 
 
 # ---- the files ----------------------------------------------------------------------------------
@@ -164,36 +156,26 @@ def scaled(factor: float, only: Sequence[int] = range(6)) -> Writes:
     return lambda x, _: replace(x, values=factor * x.values) if x.run.index in only else x
 
 
-def cut(from_s: float = -9.0, share: float = 1.0) -> Writes:
-    """Rows before a time, or after a share of them, are missing."""
-    return lambda x, _: _kept(x, (x.time_s >= from_s) & (np.arange(len(x.time_s)) < share * len(x.time_s)))
+def cut(from_s: float) -> Writes:
+    """Rows before a time are missing."""
+
+    def written(x: Taken, _: list[Taken]) -> Taken:
+        rows = x.time_s >= from_s
+        return replace(x, time_s=x.time_s[rows], values=x.values[rows])
+
+    return written
 
 
-def lost_rows(x: Taken, _: list[Taken]) -> Taken:
-    """The host was too busy: one row in twelve is lost."""
-    return _kept(x, x.run.rng.uniform(size=len(x.time_s)) > 0.08)
-
-
-def _kept(x: Taken, rows: np.ndarray) -> Taken:
-    return replace(x, time_s=x.time_s[rows], values=x.values[rows])
-
-
-def by_phone(gravity: bool = True, change: Callable[[str], str] = lambda rows: rows) -> Writes:
+def by_phone(gravity: bool = True) -> Writes:
     """An app's table instead of the firmware's: its own time, m/s²."""
     header = "Time (s),Acceleration x (m/s^2),Acceleration y (m/s^2),Acceleration z (m/s^2)\n"
 
     def writes(x: Taken, _: list[Taken]) -> Taken:
         own = x.values if gravity else x.values - x.values[x.time_s < -0.1].mean(axis=0)
         rows = klipper_text(x.time_s - x.time_s[0], own).partition("\n")[2]
-        return replace(x, text=header + change(rows))
+        return replace(x, text=header + rows)
 
     return writes
-
-
-def in_ms(rows: str) -> str:
-    """Turn the times of a table into ms."""
-    timed = (row.split(",", 1) for row in rows.splitlines())
-    return "".join(f"{1e3 * float(t):.3f},{rest}\n" for t, rest in timed)
 
 
 def swapped(x: Taken, _: list[Taken]) -> Taken:
@@ -201,9 +183,3 @@ def swapped(x: Taken, _: list[Taken]) -> Taken:
     names = ("ffcomp-zigzag-0", "ffcomp-reversals-1")
     other = dict(zip(names, reversed(names), strict=True))
     return replace(x, run=replace(x.run, experiment=other.get(x.run.experiment, x.run.experiment)))
-
-
-def copied(x: Taken, taken: list[Taken]) -> Taken:
-    """The second repeats are copies of the first ones' files."""
-    first = next(each for each in taken if each.run.repeat == 1 and each.run.experiment == x.run.experiment)
-    return replace(x, text=first.by_klipper())
