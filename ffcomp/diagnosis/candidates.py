@@ -126,8 +126,10 @@ def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: 
     """
     possible, idle = _possible_effects(machine, commands), _idle_actuators(machine, commands)
     effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
-    travel = float(max(np.ptp(command @ machine.kinematics.motors.T, axis=0).max() for command in commands))
-    limited = (within_travel(_printer_candidate(machine, effect, idle), travel) for effect in effects)
+    moved = [command @ machine.kinematics.motors.T for command in commands]
+    travel = float(max(np.ptp(each, axis=0).max() for each in moved))
+    ends = min(float(each.min()) for each in moved), max(float(each.max()) for each in moved)
+    limited = (within_travel(_printer_candidate(machine, effect, idle), travel, ends) for effect in effects)
     return [with_replaced(machine, candidate) for candidate in limited if candidate is not None]
 
 
@@ -149,22 +151,29 @@ def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozens
     return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
 
 
-def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
-    """Limit a pitch to half the travel; None if no pitch is left to begin at.
+def within_travel(candidate: Candidate, travel_mm: float, ends_mm: tuple[float, float]) -> Candidate | None:
+    """Limit a pitch to half a travel, and a centre to no farther beyond the ends than these are apart; None: no pitch.
 
     With less than two periods nothing repeats, and a ripple explains any slow error.
     """
-    most = travel_mm / 2.0
-    pitches = [n for n in candidate.shapes if n.name.endswith(".pitch_mm")]
-    if not pitches:
-        return candidate
-    grid = tuple(point for point in candidate.grid if all(point.get(n.name, 0.0) <= most for n in pitches))
+    first, last = ends_mm
+    limits = {"pitch_mm": (0.0, travel_mm / 2.0), "q_centre_mm": (2 * first - last, 2 * last - first)}
+
+    def inside(name: str, value: float) -> float:
+        return float(np.clip(value, *limits.get(name.rpartition(".")[2], (-np.inf, np.inf))))
+
+    shapes = tuple(
+        replace(n, start=inside(n.name, n.start), low=inside(n.name, n.low), high=inside(n.name, n.high))
+        for n in candidate.shapes
+    )
+    grid = tuple(
+        {name: inside(name, x) for name, x in point.items()}
+        for point in candidate.grid
+        if all(inside(name, x) == x for name, x in point.items() if name.endswith(".pitch_mm"))
+    )
     if not grid:
         return None
-    shapes = tuple(
-        replace(n, start=min(n.start, most), high=min(n.high, most)) if n in pitches else n for n in candidate.shapes
-    )
-    other = None if candidate.other is None else within_travel(candidate.other, travel_mm)
+    other = None if candidate.other is None else within_travel(candidate.other, travel_mm, ends_mm)
     return replace(candidate, shapes=shapes, grid=grid, other=other)
 
 

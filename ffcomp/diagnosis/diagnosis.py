@@ -177,11 +177,6 @@ class _Searched:
     estimation: EstimationProblem  # the data, on which the others were tried
     base: Fit  # of the machine's parameters alone, there
 
-    @property
-    def share(self) -> float:
-        """Of all data."""
-        return self.estimation.share
-
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
@@ -276,7 +271,7 @@ def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
 
 def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progress: Progress) -> Diagnosis:
     """Name the effect that holds most of the discrepancy, if one does; else leave the verdict as it is."""
-    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, searched.best, progress)
+    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, searched.selection.best, progress)
     if dominant is None:
         return tested
     best = dominant.hypothesis
@@ -309,9 +304,9 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         best=best,
         final=final,
         searched=there,
-        share=searched.share,
+        share=searched.estimation.share,
         tried=ranked,
-        competing=competing_with(there, ranked, estimation.settings, searched.share, none.base.discrepancy),
+        competing=competing_with(there, ranked, estimation.settings, searched.estimation.share, none.base.discrepancy),
         held_out=held_out,
         rejections=failed,
         intervals=wide,

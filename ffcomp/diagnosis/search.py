@@ -451,13 +451,7 @@ def _numbers(h: Hypothesis) -> frozenset[str]:
 
 
 def shows_more(part: EstimationProblem, h: Hypothesis, whole: EstimationProblem, there: Hypothesis, base: Fit) -> bool:
-    """Tell whether all data ask for another effect where an excerpt asked for none.
-
-    Parameters
-    ----------
-    h, there : the best hypothesis, as fitted to the excerpt and to all data.
-    base : the machine's parameters alone, on all data.
-    """
+    """Tell whether all data, fitted `there`, ask for one effect more than h, which explains an excerpt."""
     enough = len(h.effects) == part.settings.most_effects or leaves_excess(part, h.fit)
     tolerant = replace(whole, tolerance=max(whole.tolerance, part.settings.trace * base.discrepancy))
     return not enough and leaves_excess(tolerant, there.fit)
