@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import shutil
 import time
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from anyio.from_thread import start_blocking_portal
 
 from ffcomp.serve.settings import MEGABYTE, ServeSettings
 from ffcomp.serve.uploads import Refused, Upload, Uploads, safe_name
@@ -23,7 +23,8 @@ async def pieces(*content: bytes) -> AsyncIterator[bytes]:
 
 
 def take(uploads: Uploads, name: str, *content: bytes) -> Upload:
-    return asyncio.run(uploads.take(name, pieces(*content)))
+    with start_blocking_portal() as own:  # the browser of another test may hold the loop of this thread
+        return own.call(uploads.take, name, pieces(*content))
 
 
 def held(uploads: Uploads) -> list[str]:
@@ -69,8 +70,8 @@ def test_too_large_a_file_is_refused_while_it_comes_and_leaves_nothing(tmp_path:
             sent.append(1)
             yield bytes(1 << 16)
 
-    with pytest.raises(Refused, match="larger than 1 MB") as refused:
-        asyncio.run(uploads.take("a.gcode", endless()))
+    with pytest.raises(Refused, match="larger than 1 MB") as refused, start_blocking_portal() as own:
+        own.call(uploads.take, "a.gcode", endless())
     assert refused.value.status == 413 and len(sent) == 17 and held(uploads) == []
 
 
@@ -81,8 +82,8 @@ def test_a_disk_that_fills_up_is_said_and_nothing_is_left(tmp_path: Path, monkey
         yield b"G28\n"
         raise OSError(ENOSPC, os.strerror(ENOSPC))
 
-    with pytest.raises(Refused, match="disk is full") as refused:
-        asyncio.run(uploads.take("a.gcode", fails()))
+    with pytest.raises(Refused, match="disk is full") as refused, start_blocking_portal() as own:
+        own.call(uploads.take, "a.gcode", fails())
     assert refused.value.status == 507 and held(uploads) == []
 
 
