@@ -214,6 +214,6 @@ class CompensateRequest(CompensateOptions):
             raise RequestError("-o names a file and --output-dir a folder: give one of them.")
         if len(self.paths) > 1:
             raise RequestError("-o is for one file: give --output-dir DIR, or in Python call compensate() for each.")
-        ending = ENDINGS.get(self.kind, "")
-        if not str(self.output).endswith(ending):
+        ending = ENDINGS.get(self.kind, ".gcode")
+        if Path(self.output).suffix in {".gcode", *ENDINGS.values()} - {ending}:
             raise RequestError(f"-o {self.output}: --kind {self.kind} writes a file that ends in {ending}.")
