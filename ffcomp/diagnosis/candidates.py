@@ -152,9 +152,9 @@ def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozens
 
 
 def within_travel(candidate: Candidate, travel_mm: float, ends_mm: tuple[float, float]) -> Candidate | None:
-    """Limit a pitch to half a travel, and a centre to no farther beyond the ends than these are apart; None: no pitch.
+    """Limit a pitch to half a travel, and a centre to one travel beyond its ends; None if no pitch is left.
 
-    With less than two periods nothing repeats, and a ripple explains any slow error.
+    With less than two periods nothing repeats; what changes about a place far beyond the ends is the same all along.
     """
     first, last = ends_mm
     limits = {"pitch_mm": (0.0, travel_mm / 2.0), "q_centre_mm": (2 * first - last, 2 * last - first)}
@@ -320,7 +320,7 @@ def _seen(name: str, pitch: float, travel_mm: float) -> Parameter:
 
 
 def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales, signals: Sequence[str]) -> Candidate:
-    """Let an effect of belts be of the drive too, as another form: nobody knows which of two springs it is of."""
+    """Let an effect of belts be of the drive too, as another form: it may be in either of the two springs."""
     if AT_DRIVE not in effect.of_axis:
         return candidate
     there = _axis_candidate(effect, drive, signals)

@@ -107,7 +107,7 @@ def find_best(search: Search) -> Selection:
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
     """Tell whether a larger hypothesis explains most of what the smaller one leaves, also where it was not fitted.
 
-    Whatever bends a rest that nothing known explains takes up some of it.
+    Any effect takes up some of a rest that nothing known explains.
     """
     estimation = search.estimation
     if not significant(larger.fit, smaller.fit, search.settings, search.settings.dominant):

@@ -46,7 +46,7 @@ class SearchSettings:
     coarse_error: float = _setting(1e-3, "of |r|²", "error of coarse simulations, at most")
     # ---- acceptance ----
     left: float = _setting(0.05, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
-    dominant: float = _setting(0.6, "of the discrepancy", "what an effect explains, named with a rest, or beside one")
+    dominant: float = _setting(0.6, "of the discrepancy", "what an effect must explain, as the second or with a rest")
     ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
     signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
 
