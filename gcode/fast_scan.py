@@ -75,8 +75,8 @@ class Cursor(NamedTuple):
 def follow(
     text: ByteArray, here: Cursor, modes: Modes, limit: int,
     ends: FloatArray, moves: IntArray, events: IntArray, feeds: FloatArray,
-) -> Cursor:  # fmt: skip
-    """Follow plain lines until one needs the general reader, `feeds` is full, or the text ends.
+) -> tuple[float, ...]:  # fmt: skip
+    """Follow lines until one needs the general reader, `feeds` is full, or the text ends; return a Cursor's values.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def follow(
             at += 1
         at += 2 if text[at] == _RETURN and text[at + 1] == _NEWLINE else 1
         line += 1
-    return Cursor(at, line, move, event, known + new_count, state, x, y, z, e, feed, motion, stuck)
+    return at, line, move, event, known + new_count, state, x, y, z, e, feed, motion, stuck
 
 
 @kernel

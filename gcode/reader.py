@@ -193,7 +193,7 @@ class _Reader:
         here = Cursor(*counts, x, y, z, e, feed, motion=-1, stuck=False)
         tables = self.moves.ends, self.moves.rows, self.events.rows, self.new_feeds
         self.modes = self.modes or _modes(modal)
-        there = follow(text, here, self.modes, self.limit, *tables)
+        there = Cursor._make(follow(text, here, self.modes, self.limit, *tables))
         if there.moves > first_move and not modal.feed_known:
             line, state, _ = self.moves.rows[first_move].tolist()
             if state < states:

@@ -4,7 +4,7 @@ A literal number as an argument, another memory layout, or an array assigned to 
 a second or more of every user's first run (docs/decisions.md, 0010).
 
 Read the rows of an array by index, `a, b = w[0], w[1]`. Unpacking, `a, b = w`, prevents vectorisation and takes four to
-eight times as long.
+eight times as long. Return no NamedTuple to Python: numba makes it by Python code, and Ctrl-C crashes it.
 
 An installed wheel may contain loops compiled ahead (`scripts/wheel`). Then nothing is compiled and numba, which is slow
 to import, is not imported. Otherwise, as in a checkout, numba compiles a loop on its first call.

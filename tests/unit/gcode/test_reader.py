@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import math
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -230,3 +232,24 @@ def test_where_only_z_is_not_known_it_is_taken_to_be_the_last() -> None:
     raw = [event.raw for event in program.events if event.kind is EventKind.RAW_MOVE]
     assert [(move.start[:3], move.end[:3]) for move in raw if move] == [((1, 2, 3), (4, 4, 3)), ((5, 6, 5), (5, 7, 9))]
     assert [program.frames[frame].z_known for frame in program.moves.frame] == [True, False, False, False, True]
+
+
+# -- a signal --
+
+INTERRUPTED = """
+import signal
+from gcode import reader
+def end(number, frame): raise SystemExit(7)
+def follow(*given, follow=reader.follow):
+    signal.setitimer(signal.ITIMER_REAL, 0.005)
+    return follow(*given)
+reader.read_program(b"G1 X1 F9", start=(0, 0, 0))
+signal.signal(signal.SIGALRM, end)
+reader.follow = follow
+reader.read_program(b"G1 X1 F9\\nG1 X2\\n" * 500_000, start=(0, 0, 0))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no alarm")
+def test_a_signal_while_compiled_code_reads_ends_the_process_and_does_not_crash_it() -> None:
+    assert subprocess.run([sys.executable, "-c", INTERRUPTED], check=False).returncode == 7
