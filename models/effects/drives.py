@@ -8,17 +8,7 @@ from functools import partial
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import (
-    AT_DRIVE,
-    EACH,
-    USUAL_SHARE,
-    Effect,
-    OnAxis,
-    Terms,
-    Values,
-    amplitude,
-    shape,
-)
+from models.effects.effect import AT_DRIVE, EACH, USUAL_SHARE, Effect, OnAxis, Terms, Values, amplitude, shape
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 

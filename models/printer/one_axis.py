@@ -13,6 +13,7 @@ from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, m
 from models.effects.effect import Signals
 from models.kinds import driven_axis
 from models.machine import Machine
+from models.printer.kernels.friction import RELAXED
 from models.printer.kernels.motors import slopes
 from models.printer.kernels.one_axis import NO_RIPPLES, AxisInput, AxisParameters, integrate_axis
 
@@ -21,6 +22,7 @@ STEP_RAD = 0.25  # phase of the fastest mode per step
 COARSE_STEP_RAD = 0.7  # for ranking effects: resonances are off by a thousandth
 HARDENED = 2.0  # frequency factor of a hardening spring under a large motion
 STEEPEST = 2.0  # the same, where a step can be no shorter: friction then falls with speed below that of one step
+MOST_RAD = 1.0  # the same phase, where a step can be no shorter: bristles then bend further
 STABLE = 1.5  # step times the decay rate by friction; the method is stable up to 2.8
 MOST_SUBSTEPS = 60
 MOST_FOR_FRICTION = 16  # of them for dry friction of what is light: more would resolve speeds far below its own
@@ -133,13 +135,12 @@ def _integrated(
 ) -> AxisMotion:
     rest = 0.0 if p.by_force else float(samples[0])
     first = np.array([[rest, 0.0, rest, 0.0]]) if begin is None else 1e-3 * begin
-    loudest = load_of(p, samples)
-    steps = substeps or substeps_of(p, dt_s, COARSE_STEP_RAD if coarse else STEP_RAD, loudest)
+    steps = substeps or substeps_of(p, dt_s, COARSE_STEP_RAD if coarse else STEP_RAD, load_of(p, samples))
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
     slope = np.empty(0) if p.by_force else slopes(np.diff(samples))
     inputs = AxisInput(np.ascontiguousarray(samples, float), slope, np.ascontiguousarray(extra, float), dt_s, held)
-    gentler = with_stable_friction(p, dt_s / steps, loudest)
-    out = integrate_axis(inputs, steps, shot or len(samples) + 1, np.ascontiguousarray(first), gentler)
+    resolved = p if shot == 1 else with_stable_friction(p, dt_s / steps)  # 1: it moves as measured
+    out = integrate_axis(inputs, steps, shot or len(samples) + 1, np.ascontiguousarray(first), resolved)
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the motion of the axis diverges.")
     t = np.asarray(dt_s * np.arange(len(samples)), dtype=np.float64)
@@ -156,10 +157,10 @@ def load_of(p: AxisParameters, samples: FloatArray) -> float:
     return p.load_share * (min(drive, p.drive_limit) + held)
 
 
-def with_stable_friction(p: AxisParameters, step_s: float, load_n: float) -> AxisParameters:
-    """Return the parameters with a creep speed large enough that dry friction does not overshoot rest."""
-    least = (p.dry + p.sticking + load_n) * step_s / (STEEPEST * p.mass)
-    return p if least <= p.creep else p._replace(creep=least)
+def with_stable_friction(p: AxisParameters, step_s: float) -> AxisParameters:
+    """Return the parameters with friction that the step resolves: dry friction does not overshoot rest."""
+    presliding = max(p.presliding, p.bristle_force * (step_s / MOST_RAD) ** 2 / p.mass)
+    return p._replace(creep_per_n=step_s / (STEEPEST * p.mass), presliding=presliding, bending=RELAXED / step_s)
 
 
 def substeps_of(p: AxisParameters, dt_s: float, step_rad: float = STEP_RAD, load_n: float = 0.0) -> int:

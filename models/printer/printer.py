@@ -23,6 +23,7 @@ from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.printer.kernels.axes import BELT_DAMPING, FREQUENCY2, SHARE
+from models.printer.kernels.friction import RELAXED
 from models.printer.kernels.integrate import integrate
 from models.printer.kernels.integrate_axes import integrate_axes
 from models.printer.kernels.motors import cubic_spline
@@ -326,7 +327,7 @@ def _limit_stiffness(p: PrinterParameters, step_s: float) -> PrinterParameters:
     wider.creep = np.maximum(p.creep, friction * step_s / (GUIDE_STIFFNESS * p.least_inertia))
     stiffest = p.least_inertia * (WELL_FOLLOWED / step_s) ** 2
     wider.bristles = np.minimum(p.bristles, stiffest / np.maximum(friction, 1e-9))
-    wider.bristle_lag = np.full(3, step_s / RESOLVED)
+    wider.bending = np.full(3, RELAXED / step_s)
     wider.joint_creep = max(p.joint_creep, joints * step_s / (JOINT_STIFFNESS * p.holder_mass))
     return wider
 

@@ -38,5 +38,5 @@ Where contacts bend over a way s₀ before they slide, at any speed, z is the st
 
     F = ℓ z,   ż = (q̇ − |q̇| z)/s₀
 
-Fast motion would be stiff: (s₀ + |q̇| τ) stands for s₀, with τ less than half an integration step.
+Bristles relax at the rate |q̇|/s₀, which has no bound: beyond what an integration step can follow, q̇/s₀ stays there.
 """

@@ -10,6 +10,7 @@ from models.printer.kernels.record import LANES, NO, THREE, YES, ActiveEffects
 from models.printer.kernels.vectors import add, any_nonzero, at, compiled, dot, inlined, power, put, scale, tanh, vector
 
 MOST_STRAIN = 3.0  # φ_m
+RELAXED = 1.6  # largest |q̇|/s₀ x step: there a Runge-Kutta step damps most
 
 
 @inlined
@@ -19,10 +20,10 @@ def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float
 
 
 @inlined
-def bristle_rate(bristles: float, lag: float, rate: float, state: float) -> float:
-    """Return ż of bristles that bend over 1/`bristles`, and follow at speed by `lag` later."""
-    way = abs(rate) * bristles
-    return (rate * bristles - way * state) / (1.0 + way * lag)
+def bristle_rate(bristles: float, most: float, rate: float, state: float) -> float:
+    """Return ż of bristles that bend over 1/`bristles`, at `most` so often a second."""
+    bending = min(max(rate * bristles, -most), most)
+    return bending - abs(bending) * state
 
 
 @inlined
@@ -47,7 +48,7 @@ def guide_force(m: FloatArray, n: int, rate: float, state: float, sticking: bool
         faded = power(squared, at(m, r.fading_power, n)) if powers else squared
         level = sliding_level(level, at(m, r.sticking, n), faded)
     ratio, bristles = rate / at(m, r.creep, n), at(m, r.bristles, n)
-    bending = bristle_rate(bristles, at(m, r.bristle_lag, n), rate, state)
+    bending = bristle_rate(bristles, at(m, r.bending, n), rate, state)
     straining = strain_rate(at(m, r.hold, n), ratio, abs(ratio), state)
     bent = bristles > 0.0
     return level * (state if bent else tanh(ratio + state)), bending if bent else straining

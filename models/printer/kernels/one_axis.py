@@ -47,6 +47,7 @@ class AxisParameters(NamedTuple):
     fading: float = 0.0
     fading_power: float = 1.0
     creep: float = 1.0
+    creep_per_n: float = 0.0  # m/(N s), least creep speed by the friction that the integration step requires
     hold: float = 0.0
     half_backlash: float = 0.0
     landing: float = 0.0
@@ -67,6 +68,7 @@ class AxisParameters(NamedTuple):
     by_direction: float = 0.0  # N s/m, friction_by_direction
     bristle_force: float = 0.0  # N, bristle_friction
     presliding: float = 1.0  # m
+    bending: float = math.inf  # 1/s, see `record.py`
     play_at_drive: float = 0.0  # 1: of an axis with a load, the drive has play; 0: the coupling
     hardens_at_drive: float = 0.0  # likewise
     ripples: FloatArray = NO_RIPPLES  # (k, 3) forces that repeat along it: N of the sine and the cosine, rad/m
@@ -98,16 +100,16 @@ def _resistance(
     force = p.damping * v + 0.5 * p.by_direction * abs(v) + p.drag * v * abs(v) + held
     strained = bending = 0.0
     if p.dry + p.sticking + p.load_share > 0.0:
-        ratio = v / p.creep
         level = p.dry
         if p.sticking > 0.0:
             level = sliding_level(p.dry, p.sticking, ((v * p.fading) ** 2) ** p.fading_power)
         level += p.load_share * (abs(drive) + p.held_share * abs(held))
+        ratio = v / max(p.creep, p.creep_per_n * level)
         force += level * math.tanh(ratio + strain)
         strained = strain_rate(p.hold, ratio, abs(ratio), strain)
     if p.bristle_force > 0.0:
         force += p.bristle_force * bent
-        bending = bristle_rate(1.0 / p.presliding, 0.0, v, bent)
+        bending = bristle_rate(1.0 / p.presliding, p.bending, v, bent)
     for i in range(len(p.ripples)):
         force += p.ripples[i, 0] * math.sin(p.ripples[i, 2] * q) + p.ripples[i, 1] * math.cos(p.ripples[i, 2] * q)
     return force, strained, bending
@@ -239,7 +241,7 @@ def _remembered(x: State, v: float, h: float, p: AxisParameters) -> State:
     strain, bent, ratio, bristles = x[STRAIN], x[BENT], v / p.creep, 1.0 / p.presliding
     hold, speed = p.hold, abs(ratio)
     strain = _settled(strain, strain_rate(hold, ratio, speed, 0.0), strain_rate(hold, ratio, speed, 1.0), h)
-    bent = _settled(bent, bristle_rate(bristles, 0.0, v, 0.0), bristle_rate(bristles, 0.0, v, 1.0), h)
+    bent = _settled(bent, bristle_rate(bristles, math.inf, v, 0.0), bristle_rate(bristles, math.inf, v, 1.0), h)
     return x[Q], x[V], x[Q_LOAD], x[V_LOAD], strain, bent
 
 

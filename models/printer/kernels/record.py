@@ -73,7 +73,7 @@ PARAMETERS = np.dtype(
         ("creep", "f8", 3),  # m/s, v₀ of the guides; larger where the integration step requires it
         ("hold", "f8", 3),  # 1/s, κ of the guides
         ("bristles", "f8", 3),  # 1/m, 1/s₀ of guides whose friction bends bristles; 0: it creeps and holds instead
-        ("bristle_lag", "f8", 3),  # s, lag of the bristles that the integration step requires
+        ("bending", "f8", 3),  # 1/s, largest |q̇|/s₀ that the integration step can follow
         ("joint_dry", "f8"),  # N, joint_friction
         ("joint_creep", "f8"),  # m/s
         ("joint_hold", "f8"),  # 1/s
