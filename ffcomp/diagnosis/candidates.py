@@ -127,9 +127,12 @@ def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: 
     possible, idle = _possible_effects(machine, commands), _idle_actuators(machine, commands)
     effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
     moved = [command @ machine.kinematics.motors.T for command in commands]
-    travel = float(max(np.ptp(each, axis=0).max() for each in moved))
-    ends = min(float(each.min()) for each in moved), max(float(each.max()) for each in moved)
-    limited = (within_travel(_printer_candidate(machine, effect, idle), travel, ends) for effect in effects)
+    limits = {
+        "pitch_mm": (0.0, float(max(np.ptp(each, axis=0).max() for each in moved)) / 2.0),
+        "q_centre_mm": _a_travel_beyond(moved),
+        "x_centre_mm": _a_travel_beyond([machine.kinematics.forward(command)[:, 0] for command in commands]),
+    }
+    limited = (within_travel(_printer_candidate(machine, effect, idle), limits) for effect in effects)
     return [with_replaced(machine, candidate) for candidate in limited if candidate is not None]
 
 
@@ -151,13 +154,17 @@ def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozens
     return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
 
 
-def within_travel(candidate: Candidate, travel_mm: float, ends_mm: tuple[float, float]) -> Candidate | None:
+def _a_travel_beyond(places: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return the ends of what was travelled, each farther out by all of it."""
+    first, last = min(float(each.min()) for each in places), max(float(each.max()) for each in places)
+    return 2 * first - last, 2 * last - first
+
+
+def within_travel(candidate: Candidate, limits: Mapping[str, tuple[float, float]]) -> Candidate | None:
     """Limit a pitch to half a travel, and a centre to one travel beyond its ends; None if no pitch is left.
 
     With less than two periods nothing repeats; what changes about a place far beyond the ends is the same all along.
     """
-    first, last = ends_mm
-    limits = {"pitch_mm": (0.0, travel_mm / 2.0), "q_centre_mm": (2 * first - last, 2 * last - first)}
 
     def inside(name: str, value: float) -> float:
         return float(np.clip(value, *limits.get(name.rpartition(".")[2], (-np.inf, np.inf))))
@@ -173,7 +180,7 @@ def within_travel(candidate: Candidate, travel_mm: float, ends_mm: tuple[float, 
     )
     if not grid:
         return None
-    other = None if candidate.other is None else within_travel(candidate.other, travel_mm, ends_mm)
+    other = None if candidate.other is None else within_travel(candidate.other, limits)
     return replace(candidate, shapes=shapes, grid=grid, other=other)
 
 
