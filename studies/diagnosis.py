@@ -1,4 +1,4 @@
-"""The full blind test of `ffcomp diagnose`, with three rivals on the same sealed cases.
+"""The full blind test of `ffcomp diagnose`.
 
     python -m studies.diagnosis --cases 240 --jobs 2 --resume DIR       reports/diagnosis.md and its figure
     python -m studies.diagnosis --cases 240 --scheduler tcp://HOST:8786 --resume DIR      by a Dask cluster
@@ -21,7 +21,6 @@ import signal
 import subprocess
 import sys
 import time
-import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,7 +31,6 @@ import numpy as np
 
 from ffcomp.api.measurements import diagnose
 from ffcomp.errors import FfcompError
-from studies.diagnosis_rivals import rivals
 from studies.diagnosis_tables import results
 from studies.render import REPORTS, ROOT, results_of, save
 from validation.blind import score
@@ -49,7 +47,7 @@ from validation.blind.bank import (
 from validation.blind.kinds import MACHINES
 
 FIGURE = REPORTS / "diagnosis_confusion.png"
-LONGEST_S = 600  # of CPU: of the answer, and of its rivals
+LONGEST_S = 600  # of CPU, of an answer
 
 
 def main() -> None:
@@ -114,7 +112,7 @@ def tell(text: str) -> None:
 
 
 def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
-    """Make a case and seal its label; then ask for the verdicts. What is there is kept."""
+    """Make a case and seal its label; then ask for the verdict. What is there is kept."""
     if not label_path(bank, name).exists() and (refusal := make_case(bank, name, seed, stratum, seconds)):
         tell(f"{name}: {refusal}")
         return
@@ -170,7 +168,7 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 
 def case(folder: Path, out: Path) -> None:
-    """Ask for the verdict of one sealed case and those of the rivals; nothing here reads a label.
+    """Ask for the verdict of one sealed case; nothing here reads a label.
 
     folder : with machine.toml and runs/
     out : OUT.json gets the verdict, OUT.toml the better machine file
@@ -184,22 +182,11 @@ def case(folder: Path, out: Path) -> None:
         _write(out.with_suffix(".json"), {"verdict": "failed", "why": str(error)})
         return
     took = time.process_time() - began
-    others = rivals_of(found.search)
-    beside = time.process_time() - began - took
     tried = [{"effects": list(h.names), "evidence": h.fit.evidence, "left": h.discrepancy} for h in found.search.tried]
     _write(
         out.with_suffix(".json"),
-        {**found.to_dict(), "cpu_seconds": took, "rivals_cpu_seconds": beside, "rivals": others, "tried": tried[:8]},
+        {**found.to_dict(), "cpu_seconds": took, "tried": tried[:8]},
     )
-
-
-def rivals_of(search: Any) -> dict[str, Any]:
-    """Return the rivals' verdicts; one that fails has none."""
-    try:
-        return rivals(search)
-    except Exception:
-        failed = {"verdict": "failed", "effects": [], "why": traceback.format_exc()[-500:]}
-        return dict.fromkeys(("sindy", "spike_slab", "bic"), failed)
 
 
 def draw_confusion(judged: Sequence[score.Judged], path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
@@ -16,12 +16,10 @@ from validation.blind.kinds import KINDS
 from validation.blind.score import Judged, Rate, miss
 
 EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
-METHODS = {"ours": "ffcomp", "sindy": "SINDy", "spike_slab": "spike and slab", "bic": "BIC, one effect"}
 
 
 def results(judged: Sequence[Judged], options: argparse.Namespace) -> dict[str, Any]:
     """Return what the page says of all cases."""
-    everyone = {method: [as_said_by(j, method) for j in judged] for method in METHODS}
     when = sorted(j.verdict["when"] for j in judged)
     return {
         "cases": options.cases,
@@ -40,8 +38,7 @@ def results(judged: Sequence[Judged], options: argparse.Namespace) -> dict[str, 
         "late": late_of(judged),
         "rests": rests_of([j for j in judged if j.label.rest and j.label.visible]),
         "sets": asdict(sets(judged)),
-        "methods": [compared(name, everyone[method]) for method, name in METHODS.items()],
-        "strata": [stratum(everyone, *each) for each in _strata(judged)],
+        "strata": [stratum(judged, *each) for each in [("all", lambda _: True), *_strata(judged)]],
         "power": [
             {"low": low, "high": high, "right": rate.hits, "of": rate.total} for low, high, rate in power(judged, EDGES)
         ],
@@ -90,14 +87,6 @@ def rests_of(judged: Sequence[Judged]) -> dict[str, int]:
     }
 
 
-def as_said_by(j: Judged, method: str) -> Judged:
-    """Return the case with another method's verdict."""
-    if method == "ours":
-        return j
-    said = j.verdict.get("rivals", {}).get(method, {"verdict": score.FAILED, "effects": []})
-    return Judged(j.name, j.label, said)
-
-
 def _strata(judged: Sequence[Judged]) -> list[tuple[str, Callable[[Judged], bool]]]:
     """Return the machines, and then the conditions, that have cases."""
     machines = [m for m in KINDS if any(j.label.machine == m for j in judged)]
@@ -108,25 +97,10 @@ def _strata(judged: Sequence[Judged]) -> list[tuple[str, Callable[[Judged], bool
     ]
 
 
-def stratum(everyone: Mapping[str, Sequence[Judged]], name: str, belongs: Callable[[Judged], bool]) -> dict[str, Any]:
-    """Count, for every method, the cases of a stratum that ended as they should."""
-    own = {method: [score.as_wanted(j) for j in cases if belongs(j)] for method, cases in everyone.items()}
-    total = len(own["ours"])
-    told = [{"hits": sum(each), "interval": score.wilson(sum(each), total)} for each in own.values()]
-    return {"name": name, "total": total, "methods": told}
-
-
-def compared(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
-    """Return the counts by which methods are compared."""
-    wanted = ("top-1", "a wrong name", "nothing hidden and", "outside", "pairs, both")
-    told = [next(rate for rate in score.rates(judged) if rate.title.startswith(w)) for w in wanted]
-    hits = sum(score.as_wanted(j) for j in judged)
-    return {
-        "name": name,
-        "rates": [rate_of(rate) for rate in told],
-        "hits": hits,
-        "interval": score.wilson(hits, len(judged)),
-    }
+def stratum(judged: Sequence[Judged], name: str, belongs: Callable[[Judged], bool]) -> dict[str, Any]:
+    """Count the cases of a stratum that ended as they should."""
+    own = [score.as_wanted(j) for j in judged if belongs(j)]
+    return {"name": name, "total": len(own), "hits": sum(own), "interval": score.wilson(sum(own), len(own))}
 
 
 @dataclass(frozen=True)
