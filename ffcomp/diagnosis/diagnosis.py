@@ -20,22 +20,20 @@ from ffcomp.diagnosis.acceptance import rejections
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
     QUICK_GAIN,
-    continue_fit,
     excerpt_of,
     fit_in_excerpt,
     fit_in_whole,
     linearised,
-    parsimonious_fit,
 )
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, by_deviance, estimation_problem, fit, intervals_of, superfluous
-from ffcomp.diagnosis.held_out import HeldOut, OtherMotion, hold_out, other_motions
-from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, likeliest, worth
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
+from ffcomp.diagnosis.held_out import HeldOut, hold_out, other_motions
+from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, error_left, likeliest
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
 from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnosis.score_test import Screened, confounded_with, screen
-from ffcomp.diagnosis.search import Search, Selection, find_best, finish, shows_more
+from ffcomp.diagnosis.search import Search, Selection, find_best, finish
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import Estimate
@@ -44,7 +42,6 @@ from ffcomp.numerics.stages import Progress, Stage
 BUDGET_STEPS = 2.4e8  # integration steps of a printer, after which nothing more is tried: 90 s of CPU in 2026
 LOOSENED = 5.0  # times the uncertainties, in the fit of the file's numbers that may all be wrong
 AS_LOOSE = 1.5  # times the mean square that the effects leave: such a fit explains as much
-FEW_MOTIONS = 3  # that do not tell how far a value scatters (Student's t)
 USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
 
 FINDINGS = {
@@ -67,7 +64,7 @@ class Diagnosis:
     estimation: EstimationProblem
     noise: NoiseFloor
     base: Fit  # the machine's parameters alone
-    final: Fit  # of the best: only the parameters that the data need retuned; else the base
+    final: Fit  # of the best; else the base
     screened: Sequence[Screened] = ()
     named: Hypothesis | None = None  # the effects of an `effects` verdict
     best: Hypothesis | None = None  # the best that was tried, whatever the verdict
@@ -76,10 +73,9 @@ class Diagnosis:
     searched: Hypothesis | None = None  # the best, on the data on which the others were tried
     share: float = 1.0  # of the data on which they were
     held_out: Sequence[HeldOut] = ()
-    others: Sequence[OtherMotion] = ()  # motions of an axis, each simulated with what was fitted to the others
+    others: Sequence[HeldOut] = ()  # motions of an axis, each simulated with what was fitted to the others
     rejections: tuple[str, ...] = ()  # acceptance tests that the best hypothesis failed, in words
     intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all parameters of the best hypothesis
-    scattered: Sequence[str] = ()  # parameters whose intervals few motions make much wider, by how far they scatter
     fault: Fault | None = None  # of the recordings
     dominant: Dominant | None = None  # the effect that holds most of the discrepancy, and leaves a rest
     file_off: Fit | None = None  # the machine's numbers alone, far beyond their uncertainties, if they explain as much
@@ -202,8 +198,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = linearised(estimation, problem.parameters, np.zeros(len(problem.parameters)))
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
-    times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
-    progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
+    progress(f"the machine's own parameters alone: {error_left(base)}")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
     fault = fault_of_recordings(estimation, problem.simulate({}), base)
     if fault is not None:
@@ -220,9 +215,6 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool =
         searched = _Searched(selection.best, selection, screened, estimation, base)
     none, best = replace(none, screened=searched.screened), searched.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
-    retuned = _retuned(estimation, best)
-    if retuned.discrepancy < least and not worth(estimation, best.fit, retuned, 0.0):
-        return replace(none, base=retuned, final=retuned)
     tested = _tested(none, searched, best, progress)
     if tested.rejections and not small:
         tested = _with_a_rest(none, searched, tested, progress)
@@ -249,21 +241,7 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
     screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
     selection = _found(Search(part, retuned, screened, progress))
     best = fit_in_whole(estimation, selection.best, progress)
-    if shows_more(part, selection.best, estimation, best, base):
-        progress("the whole recordings show more than the excerpt: the search starts again on all of them")
-        return None
     return _Searched(best, selection, screened, part, retuned)
-
-
-def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
-    """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
-    file, alone = estimation.problem.parameters, best
-    for c in best.effects:
-        alone = alone.without(c, file)
-    z, jacobian = alone.fit.z, alone.fit.jacobian
-    if any(c.replaces for c in best.effects):
-        jacobian = linearised(estimation, file, z).jacobian
-    return fit(estimation, file, z, jacobian, iterations=4)
 
 
 # ---- the verdict ---------------------------------------------------------------------------------
@@ -271,7 +249,7 @@ def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
 
 def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progress: Progress) -> Diagnosis:
     """Name the effect that holds most of the discrepancy, if one does; else leave the verdict as it is."""
-    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, searched.selection.best, progress)
+    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, progress)
     if dominant is None:
         return tested
     best = dominant.hypothesis
@@ -285,13 +263,9 @@ def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progre
 def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Progress) -> Diagnosis:
     """Put the best hypothesis to the acceptance tests."""
     estimation, tried = none.estimation, searched.selection.tried
-    final = parsimonious_fit(estimation, best)
-    intervals = intervals_of(estimation, best.fit, final.values)
-    wide = intervals_of(estimation, best.fit, final.values, scatter=True)
-    wide = _proven_intervals(none, best, wide, progress)
-    few = len(set(estimation.problem.motions)) <= FEW_MOTIONS
+    intervals = intervals_of(estimation, best.fit)
     held_out = hold_out(estimation, none.base, best.fit)
-    failed = tuple(rejections(estimation, none.base, best, held_out, wide))
+    failed = tuple(rejections(estimation, none.base, best, held_out, intervals))
     estimation.trace.add("accept", best.names, outcome="refused" if failed else "kept", reason="; ".join(failed))
     there = searched.selection.best
     if best.names != there.names:  # a smaller rival, or fewer effects
@@ -302,28 +276,15 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         verdict="unknown" if failed else "effects",
         named=None if failed else best,
         best=best,
-        final=final,
+        final=best.fit,
         searched=there,
         share=searched.estimation.share,
         tried=ranked,
         competing=competing_with(there, ranked, estimation.settings, searched.estimation.share, none.base.discrepancy),
         held_out=held_out,
         rejections=failed,
-        intervals=wide,
-        scattered=[name for name, e in wide.items() if few and e.sd > 2 * intervals[name].sd],
+        intervals=intervals,
     )
-
-
-def _proven_intervals(
-    none: Diagnosis, best: Hypothesis, intervals: dict[str, Estimate], progress: Progress
-) -> dict[str, Estimate]:
-    """Return the intervals, narrowed where they include no effect although the fit without it is far worse."""
-    for c in best.effects:
-        if superfluous(c, intervals):
-            rest = best.without(c, none.estimation.problem.parameters)
-            without = continue_fit(none.estimation, rest, progress).fit if rest.effects else none.base
-            intervals = by_deviance(none.estimation, c, best.fit, without, intervals)
-    return intervals
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:
@@ -348,8 +309,8 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     return replace(result, finding="unproven" if explained else "unexplained", file_off=_file_off(result))
 
 
-def _others(result: Diagnosis) -> Sequence[OtherMotion]:
-    return [] if result.best is None else other_motions(result.estimation, result.best)
+def _others(result: Diagnosis) -> Sequence[HeldOut]:
+    return [] if result.best is None else other_motions(result.estimation, result.base, result.best.fit)
 
 
 def _nothing(result: Diagnosis) -> Diagnosis:

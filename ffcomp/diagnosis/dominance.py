@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ffcomp.diagnosis.acceptance import unfounded
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of, solved
-from ffcomp.diagnosis.held_out import by_place, motions_or_groups, residual_left_out, simulate_left_out
+from ffcomp.diagnosis.held_out import beyond_noise, by_place, left_out, motions_or_groups
 from ffcomp.diagnosis.hypotheses import Hypothesis, likeliest
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.stages import Progress
@@ -57,21 +57,8 @@ class Dominant:
     signal: str = ""  # whose discrepancy that is; "": of all signals together
 
 
-@dataclass(frozen=True, eq=False)
-class _LeftOut:
-    """What a fit leaves where it was left out: the residual of each group, and its rows."""
-
-    rows: Sequence[NDArray[np.int64]]
-    residual: Sequence[FloatArray]
-
-    def left(self, scope: Scope) -> FloatArray:
-        """Return |r|² beyond noise, (groups,)."""
-        parts = [r[scope[rows]] for rows, r in zip(self.rows, self.residual, strict=True)]
-        return np.array([max(float(r @ r) - len(r), 0.0) for r in parts])
-
-
 def dominant_effect(
-    estimation: EstimationProblem, base: Fit, tried: Sequence[Hypothesis], best: Hypothesis, progress: Progress
+    estimation: EstimationProblem, base: Fit, tried: Sequence[Hypothesis], progress: Progress
 ) -> Dominant | None:
     """Return the effect that holds most of the discrepancy, if one does, or of one signal's.
 
@@ -79,7 +66,6 @@ def dominant_effect(
     ----------
     base : the machine's parameters alone
     tried : hypotheses of the same data
-    best : it may be of several effects; where it leaves far less, one that holds most is among them
     """
     single = [h for h in tried if len(h.fit.residual) == len(base.residual) and len(h.effects) == 1]
     if not single or len(motions_or_groups(estimation.problem)) < 2:
@@ -89,7 +75,7 @@ def dominant_effect(
     if estimation.problem.by_signal and len(names) > 1:
         scopes |= {name: whiten.of_signal(name) for name in names}
     progress("nothing explains all of it: looking for what explains most")
-    asked = _Asked(estimation, base, single, best, progress)
+    asked = _Asked(estimation, base, single, progress)
     found = [each for signal, scope in scopes.items() if (each := asked.dominant(signal, scope)) is not None]
     return max(found, key=lambda each: (not each.signal, each.explained), default=None)
 
@@ -97,49 +83,46 @@ def dominant_effect(
 class _Asked:
     """The single effects that were tried, as they explain what was left out of their fits."""
 
-    def __init__(
-        self, estimation: EstimationProblem, base: Fit, single: Sequence[Hypothesis], best: Hypothesis, log: Progress
-    ) -> None:
-        self.estimation, self.base, self.best, self.log = estimation, base, best, log
+    def __init__(self, estimation: EstimationProblem, base: Fit, single: Sequence[Hypothesis], log: Progress) -> None:
+        self.estimation, self.base, self.log = estimation, base, log
         self.single = list({h.names: h for h in reversed(likeliest(single))}.values())  # the likeliest of each effect
-        self.parts = list(motions_or_groups(estimation.problem).values())
-        self.known: dict[str, _LeftOut] = {}
+        self.parts = motions_or_groups(estimation.problem)
+        self.rows = [estimation.rows_of(members) for members in self.parts.values()]
+        self.known: dict[str, list[FloatArray]] = {}
 
-    def left_out(self, name: str, fitted: Fit) -> _LeftOut:
+    def left_out(self, name: str, fitted: Fit) -> list[FloatArray]:
         """Return what a fit leaves in each group, fitted to the others."""
         if name not in self.known:
-            retuned = by_place(self.estimation)
-            answers = [simulate_left_out(self.estimation, fitted, members, retuned) for members in self.parts]
-            self.known[name] = self._compared(answers)
+            self.known[name] = left_out(self.estimation, fitted, self.parts, by_place(self.estimation))
         return self.known[name]
 
-    def _compared(self, answers: Sequence[Sequence[FloatArray]]) -> _LeftOut:
-        each = list(zip(answers, self.parts, strict=True))
-        residual = [residual_left_out(self.estimation, simulated, members) for simulated, members in each]
-        return _LeftOut([self.estimation.rows_of(members) for members in self.parts], residual)
+    def left(self, residuals: Sequence[FloatArray], scope: Scope) -> float:
+        """Return |r|² beyond noise, of all groups."""
+        return sum(beyond_noise(r[scope[rows]]) for rows, r in zip(self.rows, residuals, strict=True))
 
     def whole(self, scope: Scope) -> float:
         """Return what there is to explain: by the better of the file, of retuning, and of standing still."""
-        filed = self._compared([self.estimation.problem.simulate({}, members) for members in self.parts])
-        still = _LeftOut(filed.rows, [self.estimation.measured[rows] for rows in filed.rows])
-        return min(float(one.left(scope).sum()) for one in (self.left_out("", self.base), filed, still))
+        ways = self.estimation.residual({}), self.estimation.measured
+        each = [self.left_out("", self.base), *([x[rows] for rows in self.rows] for x in ways)]
+        return min(self.left(residuals, scope) for residuals in each)
 
     def dominant(self, signal: str, scope: Scope) -> Dominant | None:
         """Return the effect that holds most of the discrepancy of one signal, or of all."""
         settings, ahead = self.estimation.settings, self.estimation.settings.ahead
         contenders = self._contenders(scope)
-        if min(_excess(h, scope) for h in contenders) > (1 - settings.dominant / 2) * _of(self.base.residual[scope]):
+        most = (1 - settings.dominant / 2) * beyond_noise(self.base.residual[scope])
+        if min(_excess(h, scope) for h in contenders) > most:
             return None  # even where they were fitted, none explains half of what one must elsewhere
         # an interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess
         sound = [h for h in contenders if not unfounded(h, self._intervals(h))]
         if not sound:
             return None
-        whole, left = self.whole(scope), {h.names: self.left_out(h.names[0], h.fit).left(scope) for h in sound}
-        ranked = sorted(sound, key=lambda h: float(left[h.names].sum()))
+        whole, left = self.whole(scope), {h.names: self.left(self.left_out(h.names[0], h.fit), scope) for h in sound}
+        ranked = sorted(sound, key=lambda h: left[h.names])
         laws = [h for h in ranked if _cause(h) == _cause(ranked[0])]
         first = _simplest(laws, left, ahead)
         others = [h for h in ranked if _cause(h) != _cause(first)]
-        explained = {h.names: 1 - float(left[h.names].sum()) / whole for h in ranked}
+        explained = {h.names: 1 - left[h.names] / whole for h in ranked}
         alike = {h.names: self._alike(h, scope) for h in ranked}
         for h in ranked:
             self.log(
@@ -148,9 +131,8 @@ class _Asked:
             )
         if (
             explained[first.names] < settings.dominant
-            or self._better_without(first, scope)
             or alike[ranked[0].names] > settings.signature  # of the law that leaves least: others' shapes are left
-            or any(left[other.names].sum() < ahead * left[first.names].sum() for other in others)
+            or any(left[other.names] < ahead * left[first.names] for other in others)
         ):
             return None
         return Dominant(
@@ -158,7 +140,7 @@ class _Asked:
         )
 
     def _intervals(self, h: Hypothesis) -> dict[str, Estimate]:
-        return intervals_of(self.estimation, h.fit, h.fit.values, scatter=True)
+        return intervals_of(self.estimation, h.fit)
 
     def _contenders(self, scope: Scope) -> list[Hypothesis]:
         """Return the single effects to test: of the families that leave least the best, of the first all its laws."""
@@ -167,38 +149,29 @@ class _Asked:
         laws = [h for h in ranked if _cause(h) == causes[0]]
         return [*laws, *(next(h for h in ranked if _cause(h) == each) for each in causes[1:])]
 
-    def _better_without(self, first: Hypothesis, scope: Scope) -> bool:
-        """Tell whether the best explanation does without the family, and leaves far less."""
-        without = _cause(first) not in self.best.causes and len(self.best.fit.residual) == len(scope)
-        return without and self.estimation.settings.ahead * _excess(self.best, scope) < _excess(first, scope)
-
     def _alike(self, h: Hypothesis, scope: Scope) -> float:
         """Return the share of what is left that has the effect's signature, of chance none."""
-        alike, total, left = 0.0, 0.0, self.left_out(h.names[0], h.fit)
-        for rows, residual in zip(left.rows, left.residual, strict=True):
+        alike, total = 0.0, 0.0
+        for rows, residual in zip(self.rows, self.left_out(h.names[0], h.fit), strict=True):
             inside = scope[rows]
             alike += _explained_by(h, rows[inside], residual[inside])
             total += float(residual[inside] @ residual[inside])
         return alike / max(total, 1e-300)
 
 
-def _of(residual: FloatArray) -> float:
-    return float(residual @ residual) - len(residual)
-
-
 def _excess(h: Hypothesis, scope: Scope) -> float:
     """Return |r|² beyond noise where it was fitted, with what the prior costs."""
-    return _of(h.fit.residual[scope]) + h.fit.cost - h.fit.chi_squared
+    return beyond_noise(h.fit.residual[scope]) + h.fit.cost - h.fit.chi_squared
 
 
 def _cause(h: Hypothesis) -> str:
     return CATALOGUE[h.names[0]].cause
 
 
-def _simplest(laws: Sequence[Hypothesis], left: Mapping[tuple[str, ...], FloatArray], ahead: float) -> Hypothesis:
+def _simplest(laws: Sequence[Hypothesis], left: Mapping[tuple[str, ...], float], ahead: float) -> Hypothesis:
     """Return the law of fewest numbers that no other leaves far behind; `laws` : the one that leaves least first."""
     few = sorted(laws, key=_needed)
-    return next(h for h in few if left[h.names].sum() <= ahead * left[laws[0].names].sum())
+    return next(h for h in few if left[h.names] <= ahead * left[laws[0].names])
 
 
 def _needed(h: Hypothesis) -> int:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import SMALL_GAIN, EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
+from ffcomp.diagnosis.fit import SMALL_GAIN, EstimationProblem, Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis, log_fit, log_try
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.numerics.stages import Progress
@@ -88,51 +88,12 @@ def quickest(
 
 
 def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
-    """Fit with exact derivatives: confounded parameters cancel only in those.
-
-    It begins at the file's parameters if the effects by themselves explain as much there.
-    """
+    """Fit with exact derivatives: confounded parameters cancel only in those."""
     if h.exact:
         return h
     log_try(h.effects, progress, " with exact derivatives")
-    added, columns = h.effect_parameters, h.fit.jacobian[:, h.machine_count :]
-    alone = fit(estimation, added, h.effect_z, columns, range(len(added)), 5, renew_all=False)
-    from_file = np.concatenate([np.zeros(h.machine_count), alone.z])
-    start = h.fit.z if h.fit.ahead_of(alone) > 0.0 else from_file
-    fitted = _fit_quickly(estimation, h.fit.parameters, start, h.fit.jacobian, (), 5, exact=True, little=LARGE)
+    fitted = _fit_quickly(estimation, h.fit.parameters, h.fit.z, h.fit.jacobian, (), 5, exact=True, little=LARGE)
     return log_fit(estimation, Hypothesis(h.effects, fitted, exact=True), progress, " at the end")
-
-
-def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:
-    """Retune only those of the machine's parameters that the data need, one after the other (forward selection).
-
-    Parameters and effects that are nearly confounded share an error of the data among them. If the file is right,
-    this gives it all to the effect.
-    """
-    machine, scale = h.machine_count, h.fit.overdispersion
-    chosen, target = list(range(machine, len(h.fit.parameters))), h.fit.residual + h.fit.jacobian @ h.fit.z
-    normal, slope = h.fit.jacobian.T @ h.fit.jacobian / scale, h.fit.jacobian.T @ target / scale
-    prior = np.diag(h.fit.prior / scale)
-
-    def evidence(columns: Sequence[int]) -> float:
-        information = (prior + normal)[np.ix_(columns, columns)]
-        gain = slope[columns] @ solved(information, slope[columns])
-        return float(-gain + np.linalg.slogdet(information)[1])
-
-    for _ in range(machine):
-        trials = [(evidence([*chosen, i]), i) for i in range(machine) if i not in chosen]
-        if min(trials)[0] > evidence(chosen) - estimation.settings.significant:
-            break
-        chosen.append(min(trials)[1])
-    keep = sorted(chosen)
-    z = np.asarray(solved((prior + normal)[np.ix_(keep, keep)], slope[keep]))
-    parameters, renew = [h.fit.parameters[i] for i in keep], range(len(keep)) if len(keep) <= RENEWED else ()
-    fitted = fit(estimation, parameters, z, h.fit.jacobian[:, keep], renew, iterations=4)
-    # where the file is far off, the response is nonlinear: then keep the fit of all parameters
-    settings, lost = estimation.settings, fitted.cost - h.fit.cost
-    most = settings.reshaped_share * max(h.discrepancy, 0.0) + settings.exists
-    same = lost < settings.significant * scale * (machine + 1) and lost < most * len(fitted.residual)
-    return fitted if same else h.fit
 
 
 # ---- excerpts ------------------------------------------------------------------------------------

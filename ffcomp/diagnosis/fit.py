@@ -24,10 +24,10 @@ from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
 from ffcomp.inference import fit as engine
-from ffcomp.inference.covariance import overdispersion
+from ffcomp.inference.covariance import clustered_covariance, overdispersion
 from ffcomp.inference.problem import EstimationProblem as FittedProblem
 from ffcomp.inference.problem import Observation, Unknown
-from models.arrays import FloatArray
+from models.arrays import FloatArray, IntArray
 
 BLOCK_HZ = 5.0  # over which the residual of a wrong shape keeps its sign
 KEPT = 48  # residuals of the last values: a fit begins where the one before has ended
@@ -35,7 +35,6 @@ INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeas
 STEP = 0.01  # of a prior's standard deviation, for differences
 LEAST_GAIN, SMALL_GAIN = 0.3, 1e-7  # of |r|², times φ; of what stands above the noise: a fit ends with less to gain
 FORMULA_ERROR = 0.04  # of an effect's size, however loud it is: plants with other formulas than ours scatter so
-DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
 
 
 # ---- the residual --------------------------------------------------------------------------------
@@ -51,7 +50,6 @@ class EstimationProblem:
     whiten: Whitener
     measured: FloatArray  # (rows,) whitened
     coarse: bool = False  # quicker simulations
-    fixed: Mapping[str, float] = field(default_factory=dict)  # values of parameters that are not fitted
     settings: SearchSettings = SETTINGS
     trace: Trace = field(default_factory=Trace)  # shared by all derived from this one
     tolerance: float = SETTINGS.known_noise  # of the noise: a smaller discrepancy counts as none
@@ -65,16 +63,20 @@ class EstimationProblem:
 
     def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         """Evaluate several sets of values, in order; they are not to be written to."""
-        points = [{**self.fixed, **values} for values in many]
-        keys = [(frozenset(values.items()), self.only, self.coarse) for values in points]
-        cached = [self.cache.get(key) for key in keys]
-        new = self._evaluated([values for values, known in zip(points, cached, strict=True) if known is None])
+        keys = [(frozenset(values.items()), self.only, self.coarse) for values in many]
+        cached = [self._known(key) for key in keys]
+        new = self._evaluated([values for values, known in zip(many, cached, strict=True) if known is None])
         for key, known in zip(keys, cached, strict=True):
             self.cache.pop(key, None)
             for old in list(self.cache)[: 1 - KEPT]:
                 del self.cache[old]
             self.cache[key] = next(new) if known is None else known
             yield self.cache[key]
+
+    def _known(self, key: _Key) -> FloatArray | None:
+        """Return a residual that is in the cache, or a part of one."""
+        whole = None if self.only is None else self.cache.get((key[0], None, key[2]))
+        return self.cache.get(key) if whole is None else whole[self.rows_of(self.only or ())]
 
     def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         infeasible = np.full(len(self.measured), INFEASIBLE_SD)
@@ -87,6 +89,18 @@ class EstimationProblem:
                 yield residual if np.isfinite(residual @ residual) else infeasible
 
     @cached_property
+    def motions(self) -> IntArray:
+        """(rows,) number of the motion; repeats share one, and the model's error in it."""
+        each = zip(self.whiten.rows, self.problem.motions, strict=True)
+        return np.concatenate([np.full(part.stop - part.start, motion) for part, motion in each])
+
+    @cached_property
+    def blocks(self) -> IntArray:
+        """(rows,) number of the block of 5 Hz in a motion."""
+        block = (self.whiten.frequencies() // BLOCK_HZ).astype(np.int64)
+        return np.asarray(self.motions * (block.max() + 1) + block)
+
+    @cached_property
     def block_rows(self) -> float:
         """Rows in a block of 5 Hz of one observation, on average."""
         frequency, rows = self.whiten.frequencies(), self.whiten.rows
@@ -96,10 +110,6 @@ class EstimationProblem:
     def may_go_on(self) -> bool:
         """Whether the budget of work allows to try anything more."""
         return self.problem.work.allows()
-
-    def with_fixed(self, values: Mapping[str, float]) -> EstimationProblem:
-        """Return the problem with some parameters fixed."""
-        return replace(self, fixed={**self.fixed, **values})
 
     def limited_to(self, observations: Sequence[int]) -> EstimationProblem:
         """Return the problem with some of its observations only; their rows follow one another."""
@@ -180,9 +190,7 @@ class Fit:
     def evidence_at(self, scatter: float) -> float:
         """Return the evidence with another fit's φ, by which the two compare."""
         tempered = np.eye(len(self.z)) + self.jacobian.T @ self.jacobian / scatter
-        logarithm = float(np.linalg.slogdet(tempered)[1])
-        if not 0.0 <= logarithm < np.inf:  # beyond rounding: no eigenvalue of it is below one
-            logarithm = float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(tempered), 1.0))))
+        logarithm = float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(tempered), 1.0))))  # less is rounding
         weights = np.where(believed(self.parameters), scatter, 1.0)
         return self.chi_squared + float(self.z @ (weights * self.z)) + scatter * logarithm
 
@@ -197,14 +205,9 @@ class Fit:
         return self.cost / len(self.residual) - 1
 
     @property
-    def misfit(self) -> float:
-        """The mean square of the whitened residual, at least one."""
-        return max(1.0, self.chi_squared / len(self.residual))
-
-    @property
     def overdispersion(self) -> float:
         """φ, by which model error scatters |r|² more than noise alone: see `overdispersion`."""
-        return overdispersion(self.misfit, self.block_rows)
+        return overdispersion(self.chi_squared / len(self.residual), self.block_rows)
 
     @cached_property
     def slope(self) -> FloatArray:
@@ -218,63 +221,16 @@ class Fit:
         step = step_within(self.parameters, self.z, self.information, gradient)
         return float(2 * gradient @ step - step @ self.information @ step)
 
-    @property
-    def _certain_information(self) -> FloatArray:
-        """The information without the part that errors of the derivatives alone may cause."""
-        length = np.maximum(np.linalg.norm(self.jacobian, axis=0), 1e-300)
-        unit = self.jacobian / length
-        squares, vectors = np.linalg.eigh(unit.T @ unit)
-        certain = (vectors * np.maximum(squares - len(squares) * DERIVATIVE_RTOL**2, 0.0)) @ vectors.T
-        return np.asarray(np.diag(self.prior) + certain * np.outer(length, length))
-
-    def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
-        """Estimate the covariance (p, p) of z: the sandwich over blocks of 5 Hz, never below the inverse information.
+    def covariance(self, clusters: IntArray) -> FloatArray:
+        """Estimate the covariance (p, p) of z, at least as wide as by leaving out each cluster, and as φ N⁻¹.
 
         Parameters
         ----------
-        frequency_hz : (rows,) of the residual's entries.
-        rows : of each observation.
-        same : of each observation the one whose motion it repeats: repeats share the model's error.
+        clusters : (rows,) number of each row's cluster: `EstimationProblem.blocks` or `EstimationProblem.motions`.
         """
         scatter = self.overdispersion
-        bread = scatter * solved(self._certain_information, np.eye(len(self.z)))
-        slopes = self._slopes(frequency_hz, rows, same)
-        meat = np.diag(self.prior / scatter) + sum(sums.T @ sums for sums in slopes) / scatter**2
-        wide = np.diag(bread @ meat @ bread) / np.diag(bread)
-        wider = np.sqrt(np.maximum(1.0, wide))
-        return bread * np.outer(wider, wider)
-
-    def scatter(self, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
-        """Return how far z, (p,), moves as one motion after the other is left out: the jackknife's standard deviation.
-
-        Where an effect's shape is not ours, it is wrong all through a motion, and what fits all of them best is off for
-        each. To first order; how far few motions scatter is itself known to Student's t only, which is allowed for
-        (Bell & McCaffrey, Survey Methodology 28, 2002). Zero where there is one motion.
-        """
-        motions = [
-            [part for part, motion in zip(rows, same, strict=True) if motion == one] for one in sorted(set(same))
-        ]
-        if len(motions) < 2:
-            return np.zeros(len(self.z))
-        moved = np.stack([self._without(motion) for motion in motions])
-        square = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0) * (len(moved) - 1) / len(moved)
-        return np.asarray(student_share(len(moved) - 1) * np.sqrt(square))
-
-    def _without(self, left_out: Sequence[slice]) -> FloatArray:
-        """Return the step (p,) from the optimum to the one without some rows, to first order."""
-        parts = [self.jacobian[part] for part in left_out]
-        slopes = [j.T @ self.residual[part] for j, part in zip(parts, left_out, strict=True)]
-        return -solved(self.information - np.sum([j.T @ j for j in parts], axis=0), np.sum(slopes, axis=0))
-
-    def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> list[FloatArray]:
-        """Return Jᵀr of each motion by blocks of 5 Hz, (blocks, p) each."""
-        by_motion: dict[int, FloatArray] = {}
-        blocks = int(frequency_hz.max() // BLOCK_HZ) + 1
-        for part, motion in zip(rows, same, strict=True):
-            block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
-            sums = by_motion.setdefault(motion, np.zeros((blocks, len(self.z))))
-            np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
-        return list(by_motion.values())
+        by_noise = self.jacobian / np.sqrt(scatter), self.residual / np.sqrt(scatter)
+        return clustered_covariance(*by_noise, clusters, self.prior / scatter)
 
 
 def believed(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
@@ -386,45 +342,26 @@ class _Scaled(FittedProblem):
 # ---- intervals -----------------------------------------------------------------------------------
 
 
-def intervals_of(
-    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False
-) -> dict[str, Estimate]:
-    """Put intervals about the values that are reported, as wide as all parameters together leave them.
-
-    Parameters
-    ----------
-    scatter : at least as wide as the values scatter as one motion after the other is left out. What one motion alone
-        shows is not known from the others, and yet it is there: that is no reason to refuse an effect.
-    """
-    whiten, same = estimation.whiten, estimation.problem.motions
-    sd = np.sqrt(np.diag(fitted.covariance(whiten.frequencies(), whiten.rows, same)))
-    if scatter:
-        sd = np.maximum(sd, fitted.scatter(whiten.rows, same))
+def intervals_of(estimation: EstimationProblem, fitted: Fit) -> dict[str, Estimate]:
+    """Put intervals about the values of a fit, as wide as all parameters together leave them."""
     sizes = ~believed(fitted.parameters) & np.array([n.start == 0.0 for n in fitted.parameters])
-    sd = np.hypot(sd, FORMULA_ERROR * np.where(sizes, fitted.z, 0.0))
+    sd = np.hypot(deviations(estimation, fitted), FORMULA_ERROR * np.where(sizes, fitted.z, 0.0))
     return {
-        n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
-        for n, s in zip(fitted.parameters, sd, strict=True)
+        n.name: _interval(n, fitted.values[n.name], n.sd * float(s)) for n, s in zip(fitted.parameters, sd, strict=True)
     }
 
 
-def by_deviance(
-    estimation: EstimationProblem, c: Candidate, fitted: Fit, without: Fit, intervals: Mapping[str, Estimate]
-) -> dict[str, Estimate]:
-    """Return the intervals with those of an effect's amplitudes no wider than the fit without the effect allows.
+def deviations(estimation: EstimationProblem, fitted: Fit) -> FloatArray:
+    """Estimate the standard deviations (p,) of z: by the scatter of blocks of 5 Hz and of motions, whichever is larger.
 
-    Where an effect is far from linear, the quadratic interval may include no effect although that explains far less.
-    The root of the deviance says how many standard deviations away it is (as profile likelihoods do: Venzon &
-    Moolgavkar, Applied Statistics 37, 1988).
+    Where an effect's shape is not ours, it is wrong all through a motion, and what fits all of them best is off for
+    each. How far few motions scatter is itself known to Student's t only (Bell & McCaffrey, Survey Methodology 28,
+    2002).
     """
-    deviance = (without.cost - fitted.cost) / fitted.overdispersion
-    z = dict(zip((n.name for n in fitted.parameters), fitted.z, strict=True))
-    length = float(np.linalg.norm([z[a.name] for a in c.amplitudes]))
-    spread = length / np.sqrt(max(deviance, 1e-12))
-    return {**intervals} | {
-        a.name: _interval(a, intervals[a.name].value, a.sd * min(spread, intervals[a.name].sd / a.sd))
-        for a in c.amplitudes
-    }
+    sd = np.sqrt(np.diag(fitted.covariance(estimation.blocks)))
+    if (motions := len(np.unique(estimation.motions))) < 2:
+        return sd
+    return np.maximum(sd, student_share(motions - 1) * np.sqrt(np.diag(fitted.covariance(estimation.motions))))
 
 
 def _interval(n: Parameter, value: float, spread: float) -> Estimate:

@@ -10,6 +10,7 @@ import numpy as np
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.settings import SearchSettings
+from ffcomp.diagnosis.words import times_noise
 from ffcomp.numerics.stages import Now, Progress
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
@@ -114,18 +115,6 @@ def significant(larger: Fit, smaller: Fit, settings: SearchSettings, share: floa
     return larger.ahead_of(smaller) > settings.significant and smaller.cost - larger.cost > share * remains
 
 
-def worth(estimation: EstimationProblem, larger: Fit, smaller: Fit, share: float) -> bool:
-    """Tell whether the larger model is significant, by a noise that is known.
-
-    By one that is only guessed, any number of rows makes the smallest difference significant: there it must take a
-    share of what is left.
-    """
-    settings = estimation.settings
-    known = estimation.whiten.floor.from_repeats
-    enough = known or larger.chi_squared < (1 - settings.exists) * smaller.chi_squared
-    return enough and significant(larger, smaller, settings, share)
-
-
 def comparable(h: Hypothesis, best: Hypothesis, factor: float, settings: SearchSettings) -> bool:
     """Tell whether a hypothesis leaves at most `factor` times the discrepancy of the best."""
     least = settings.exists
@@ -182,9 +171,13 @@ def log_fit(estimation: EstimationProblem, h: Hypothesis, progress: Progress, no
     """Report a hypothesis, add it to the trace, and return it."""
     numbers = [n.name for n in h.effect_parameters]
     estimation.trace.add("fit" + note, h.names, numbers, evidence=h.fit.evidence, left=h.discrepancy)
-    times = float(np.sqrt(max(1.0 + h.discrepancy, 0.0)))  # rms
-    progress(f"{_joined(h.effects)}{note}: the error that is left is {times:.4g} times the noise")
+    progress(f"{_joined(h.effects)}{note}: {error_left(h.fit)}")
     return h
+
+
+def error_left(fitted: Fit) -> str:
+    """Say how large the error of a fit is, rms."""
+    return f"the error that is left is {times_noise(fitted.discrepancy):.4g} times the noise"
 
 
 def log_try(effects: Sequence[Candidate], progress: Progress, note: str = "") -> None:

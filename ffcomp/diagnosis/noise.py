@@ -283,6 +283,11 @@ class Whitener:
         frequency, power = lines(observation, self.band_hz)[0], self.power(observation)
         return np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in observation.signals])
 
+    @cached_property
+    def scale(self) -> FloatArray:
+        """The noise's standard deviation in the transform, (rows,), of every entry of the vector."""
+        return np.concatenate([np.tile(self._scales[kind].ravel(), 2) for kind in self._alike])
+
     def of_signal(self, name: str) -> NDArray[np.bool_]:
         """Tell which entries of the vector, (rows,), are of one signal."""
         each = [(len(lines(o, self.band_hz)[0]), np.array(o.signals) == name) for o in self.observations]

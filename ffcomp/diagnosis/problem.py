@@ -171,10 +171,6 @@ class Work:
         """Begin a search that may simulate so much from now on."""
         self.limit, self.cut = self.steps + limit, False
 
-    def extend(self, further: float) -> None:
-        """Allow so much from now on, if there is no more left."""
-        self.limit = max(self.limit, self.steps + further)
-
 
 @dataclass(frozen=True, kw_only=True)
 class MachineNames:

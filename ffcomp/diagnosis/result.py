@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,7 +15,6 @@ from ffcomp.diagnosis.acceptance import undetermined
 from ffcomp.diagnosis.candidates import WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
-from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
@@ -162,7 +161,7 @@ class DiagnosisResult:
         left_out="gap.left_out",
         unproven_at="unproven",
         or_file_off="file_off",
-        other_motions="others",
+        other_motions="search.others",
         compared="compared",
     )
 
@@ -271,11 +270,6 @@ class DiagnosisResult:
         best = self.search.best
         return [] if best is None else [self._number(name) for name in undetermined(best, self.search.intervals)]
 
-    @property
-    def scattered(self) -> list[str]:
-        """Numbers of the effects whose intervals are wide because few motions scatter."""
-        return [self._number(name) for name in self.search.scattered if name.startswith("effects.")]
-
     def _number(self, name: str) -> str:
         return self.names.quantities.key(name).removeprefix("effects.")
 
@@ -331,11 +325,6 @@ class DiagnosisResult:
             return []
         values = self.search.final.values if self.search.finding == "dominant" else {}
         return residual_curves(self.problem, values, self.search.noise)
-
-    @property
-    def others(self) -> list[OtherMotion]:
-        """Motions of an axis, each simulated with what was fitted to the others."""
-        return [replace(each, number=self._number(each.number)) for each in self.search.others]
 
     # ---- the file's own numbers ----
 

@@ -4,7 +4,7 @@
               and fit the best of these starts quickly: in coarse simulations of the loudest motions
     fit       fit the likeliest fully, in the form of each effect that pays
     prune     keep the likeliest few; stop when a level gains nothing that is significant
-    finish    fit the best and its nearest rival with exact derivatives, drop what neither needs
+    finish    drop what the best does not need, and fit it with exact derivatives
 
 Adding, dropping and swapping effects need no moves of their own: hypotheses with other effects stand next to each other
 in the beam, those with fewer on the level before. Every comparison is by the evidence of nonlinear fits.
@@ -20,7 +20,7 @@ import numpy as np
 
 from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
-from ffcomp.diagnosis.held_out import left_elsewhere
+from ffcomp.diagnosis.held_out import beyond_noise, left_out, motions_or_groups
 from ffcomp.diagnosis.hypotheses import (
     Hypothesis,
     comparable,
@@ -32,7 +32,6 @@ from ffcomp.diagnosis.hypotheses import (
     log_try,
     may_join,
     significant,
-    worth,
 )
 from ffcomp.diagnosis.problem import Candidate, Parameter, carried_over
 from ffcomp.diagnosis.score_test import Screened, Subset, loudest_motions, screen, subset_of
@@ -114,8 +113,10 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
         reason = "not significant"
     else:
         least = estimation.tolerance * len(estimation.measured)
-        most = max((1 - search.settings.dominant) * left_elsewhere(estimation, smaller.fit), least)
-        reason = "" if left_elsewhere(estimation, larger.fit) < most else "leaves too much where it was left out"
+        parts = motions_or_groups(estimation.problem)
+        before, after = (sum(map(beyond_noise, left_out(estimation, h.fit, parts))) for h in (smaller, larger))
+        enough = after < max((1 - search.settings.dominant) * before, least)
+        reason = "" if enough else "leaves too much where it was left out"
     outcome = "dropped" if reason else "kept"
     estimation.trace.add("level", larger.names, evidence=larger.fit.evidence, outcome=outcome, reason=reason)
     return not reason
@@ -365,46 +366,16 @@ def _points(h: Hypothesis, shape: Parameter, every: int) -> list[float]:
 
 
 def finish(search: Search, selection: Selection) -> Selection:
-    """Fit the best hypothesis and its nearest rival with exact derivatives; keep the simpler of equally likely ones.
+    """Leave out of the best hypothesis the effects that it does not need, and fit it with exact derivatives.
 
     One that leaves too much to be named, even with a rest, stays as it is.
     """
-    if selection.best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
-        search.estimation.trace.add("finish", selection.best.names, outcome="as it is", reason="it leaves too much")
+    best = selection.best
+    if best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
+        search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
         return selection
-    best = _finished(search, selection.best, selection.tried)
-    for rival in rivals(search, best, selection)[:1]:
-        if search.may_go_on:
-            best = _preferred(search, best, _finished(search, rival, selection.tried))
-            search.estimation.trace.add("rival", rival.names, outcome=f"{' + '.join(best.names)} is preferred")
-    best, others = _simplified(search, best)
-    tried = (*selection.tried, *others)
-    return replace(selection, best=_finished(search, best, tried), tried=tried)  # in its simplest form more may be idle
-
-
-def _finished(search: Search, h: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Leave out of a hypothesis the effects that it does not need, and fit it with exact derivatives."""
-    return fit_exactly(search.estimation, _without_idle(search, h, tried), search.progress)
-
-
-def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypothesis]:
-    """List hypotheses of other effects, no more of them, that were nearly as likely, the likeliest first."""
-    here = selection.best
-    return [
-        h
-        for h in likeliest(selection.tried)
-        if h.causes not in (best.causes, here.causes)
-        and len(h.effects) <= len(best.effects)
-        and here.fit.ahead_of(h.fit) < 2 * search.settings.significant
-    ]
-
-
-def _preferred(search: Search, best: Hypothesis, rival: Hypothesis) -> Hypothesis:
-    """Return the likelier of two; the one with fewer numbers, unless the other is significantly better."""
-    smaller, larger = sorted((best, rival), key=lambda h: len(h.fit.parameters))
-    if len(smaller.fit.parameters) == len(larger.fit.parameters):
-        return likeliest([best, rival])[0]
-    return larger if significant(larger.fit, smaller.fit, search.settings, 0.0) else smaller
+    needed = _without_idle(search, best, selection.tried)
+    return replace(selection, best=fit_exactly(search.estimation, needed, search.progress))
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
@@ -415,43 +386,10 @@ def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis])
         fitted = [continue_fit(estimation, rest, search.progress) for rest in rests]
         known = [h for h in tried if h.names in [rest.names for rest in rests]]
         smaller = likeliest([*fitted, *known])[0]
-        needed = worth(estimation, best.fit, smaller.fit, search.settings.dominant)
+        needed = significant(best.fit, smaller.fit, search.settings, search.settings.dominant)
         outcome, reason = "refused" if needed else "kept", f"of {' + '.join(best.names)}"
         estimation.trace.add("drop", smaller.names, outcome=outcome, reason=reason)
         if needed:
             break
         best = smaller
     return best
-
-
-def _simplified(search: Search, best: Hypothesis) -> tuple[Hypothesis, list[Hypothesis]]:
-    """Go over to the form and law with the fewest numbers that loses nothing; return also all that were fitted."""
-    seen, fitted = {_numbers(best)}, list[Hypothesis]()
-    while search.may_go_on:
-        starts = [_mapped(effects, best) for effects in _other_forms(search, best)]
-        new = [h for h in starts if h.effect_count <= best.effect_count and _numbers(h) not in seen]
-        if not new:
-            break
-        start = min(new, key=lambda h: h.effect_count)
-        seen.add(_numbers(start))
-        _, start = _best_start(_loudest(search, best.fit), start, best)
-        other = continue_fit(search.estimation, start, search.progress, ", in another form")
-        if comparable(other, best, 2.0, search.settings):
-            other = fit_exactly(search.estimation, other, search.progress)
-        fitted.append(other)
-        if not worth(search.estimation, best.fit, other.fit, search.settings.reshaped_share) and (
-            other.effect_count < best.effect_count or other.fit.ahead_of(best.fit) > 0.0
-        ):
-            best = other
-    return best, fitted
-
-
-def _numbers(h: Hypothesis) -> frozenset[str]:
-    return frozenset(n.name for n in h.effect_parameters)
-
-
-def shows_more(part: EstimationProblem, h: Hypothesis, whole: EstimationProblem, there: Hypothesis, base: Fit) -> bool:
-    """Tell whether all data, fitted `there`, ask for one effect more than h, which explains an excerpt."""
-    enough = len(h.effects) == part.settings.most_effects or leaves_excess(part, h.fit)
-    tolerant = replace(whole, tolerance=max(whole.tolerance, part.settings.trace * base.discrepancy))
-    return not enough and leaves_excess(tolerant, there.fit)

@@ -17,9 +17,10 @@ COMPARE = "Compare the better machine file (-o better.toml) with new runs (ffcom
 def summary_sentences(result: DiagnosisResult) -> list[str]:
     """Return what speaks against the answer, the finding, then what it rests on and what limits it."""
     worse = [
-        f"{one.name} is {percent(one.filed)} off with the original file and {percent(one.after)} with the effects"
-        for one in result.others
-        if one.worse
+        f"{one.recording} is {percent(filed)} off with the original file and {percent(after)} with the effects"
+        for one in result.search.others
+        for filed, after in [one.nrms]
+        if after > filed
     ]
     against = [f"Does not hold for other motions: where only the others were fitted, {joined(worse)}."] if worse else []
     return [*against, *_finding(result), *_limits(result)]
@@ -99,15 +100,9 @@ def _in_family(name: str) -> str:
 
 
 def _open_numbers(result: DiagnosisResult) -> Iterator[str]:
-    """Say which numbers these recordings leave open, and which have wide intervals because few motions scatter."""
-    if numbers := [name for name in result.undetermined if name not in result.scattered]:
+    """Say which numbers these recordings leave open."""
+    if numbers := result.undetermined:
         yield f"These recordings do not determine {joined(numbers)}: any value near the end of its range fits as well."
-    if result.scattered:
-        motions = len(set(result.problem.motions))
-        yield (
-            f"The {motions} motions give different values of {joined(result.scattered)}, and so few do "
-            "not show how far other motions would scatter, so the interval is wide. Record more motions."
-        )
 
 
 def _elsewhere(result: DiagnosisResult) -> str:
@@ -162,14 +157,6 @@ def _limits(result: DiagnosisResult) -> Iterator[str]:
     """Say what was compared, which motions or files are off, and what was not tried or is guessed."""
     if result.problem.forces:
         yield "The drive's force is compared with the one that the measured motion needs."
-    for one in result.others:
-        if one.number:
-            yield (
-                f"In {one.name} {one.number} is {percent(abs(one.changed))} "
-                f"{'larger' if one.changed > 0 else 'smaller'} than in the other recordings: with that number alone "
-                f"changed, {percent(one.refitted)} of {_compared(result)} are left there and not {percent(one.after)}. "
-                "It may change from recording to recording."
-            )
     if result.search.cut_short:
         yield (
             "The search ended at its budget of work, so not everything was tried: ffcomp diagnose --thorough goes on "

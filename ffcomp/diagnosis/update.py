@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, deviations, estimation_problem, fit
 from ffcomp.diagnosis.held_out import groups, hold_out
 from ffcomp.diagnosis.noise import at_least, noise_floor, noise_share, raised_to_residual, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
@@ -311,14 +311,12 @@ def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]
 
 def _posterior(estimation: EstimationProblem, fitted: Fit, of_machine: Sequence[int]) -> dict[str, UpdatedNumber]:
     """Return the numbers that the recordings determine, before and after."""
-    whiten, same = estimation.whiten, estimation.problem.motions
     parameters = [fitted.parameters[i] for i in of_machine]
-    covariance = fitted.covariance(whiten.frequencies(), whiten.rows, same)[np.ix_(of_machine, of_machine)]
-    sd = np.sqrt(np.diag(covariance))
-    scatter = fitted.scatter(whiten.rows, same)[of_machine]
+    covariance = fitted.covariance(estimation.blocks)[np.ix_(of_machine, of_machine)]
+    sd, wide = np.sqrt(np.diag(covariance)), deviations(estimation, fitted)[of_machine]
     told = sd < TOLD
-    wider = max(1.0, float(np.median((scatter / sd)[told]))) if told.any() else 1.0
-    alone = np.minimum(np.maximum(sd, scatter), 1.0)
+    wider = float(np.median((wide / sd)[told])) if told.any() else 1.0
+    alone = np.minimum(wide, 1.0)
     given = wider / np.sqrt(np.diag(np.linalg.inv(covariance)))
     floor = np.array([DAMPING_FLOOR if "damping" in n.name else FLOOR for n in parameters])
     numbers = {}

@@ -99,9 +99,8 @@ def _evidence(diagnosis: Diagnosis) -> Table:
 def _retuned(diagnosis: Diagnosis) -> Table:
     """List the machine file's parameters, those that moved furthest first."""
     search = diagnosis.search
-    full = search.base if search.best is None else search.best.fit
-    intervals = search.intervals or intervals_of(search.estimation, full, search.final.values)
-    moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in full.parameters if of_machine(n.name)]
+    intervals = search.intervals or intervals_of(search.estimation, search.final)
+    moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in search.final.parameters if of_machine(n.name)]
     rows = [
         (
             diagnosis.names.quantities.key(n.name),

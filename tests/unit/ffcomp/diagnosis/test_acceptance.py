@@ -64,8 +64,8 @@ def test_a_mode_that_is_damped_as_much_as_it_can_be_does_not_swing(ratio: float,
 
 def test_an_effects_size_is_never_known_better_than_its_formula() -> None:
     h = frame_mode((3.0, 1.0))
-    whiten: Any = SimpleNamespace(frequencies=lambda: np.linspace(1, 200, ROWS), rows=[slice(0, ROWS)])
-    estimation: Any = SimpleNamespace(whiten=whiten, problem=SimpleNamespace(motions=[0]))
-    size, shape = (intervals_of(estimation, h.fit, h.fit.values)[n.name] for n in (MASS, DAMPING))
+    blocks = np.repeat(np.arange(40), ROWS // 40)
+    estimation: Any = SimpleNamespace(blocks=blocks, motions=0 * blocks)
+    size, shape = (intervals_of(estimation, h.fit)[n.name] for n in (MASS, DAMPING))
     assert size.high - size.value == pytest.approx(NINETY_PERCENT * FORMULA_ERROR * size.value, rel=1e-3)
     assert shape.high - shape.value < 1e-3 * shape.value

@@ -85,8 +85,7 @@ def dominant_of(problem: Linear) -> Dominant | None:
     tried = [
         Hypothesis((c,), fit(estimation, (*own, *c.parameters), np.zeros(len(own) + 1))) for c in problem.candidates
     ]
-    best = min(tried, key=lambda h: h.discrepancy)
-    return dominant_effect(estimation, base, tried, best, lambda _: None)
+    return dominant_effect(estimation, base, tried, lambda _: None)
 
 
 def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
