@@ -55,8 +55,6 @@ def periodic_frf(
     output: FloatArray,
     rate_hz: float,
     period_samples: int,
-    *,
-    transient_periods: int = 1,
 ) -> FrfMatrix:
     """Estimate the response to a periodic excitation from the mean over whole periods; its variance from their spread.
 
@@ -69,22 +67,21 @@ def periodic_frf(
     ----------
     input : (e, n, i) or (n, i) of one experiment.
     output : (e, n, o) or (n, o).
-    period_samples : length of a period, a whole number of samples.
-    transient_periods : so many are dropped at the beginning, while the machine settles.
+    period_samples : length of a period, a whole number of samples. The first one is left out: the machine settles.
 
     Returns
     -------
     At the excited lines: where the weakest direction of the inputs reaches 5 % of the strongest line nearby.
     """
     u, y = _experiments(input), _experiments(output)
-    periods = u.shape[1] // period_samples - transient_periods
+    periods = u.shape[1] // period_samples - 1
     if periods < 2:
-        rule = f"{periods} whole periods of {period_samples} samples are left after {transient_periods} for settling"
+        rule = f"{periods} whole periods of {period_samples} samples are left after one for settling"
         raise MeasurementError("", [f"{rule}; at least 2 are needed for a mean and a variance."])
     if u.shape[0] < u.shape[2]:
         rule = f"{u.shape[2]} inputs need at least {u.shape[2]} experiments with different commands, but there are"
         raise MeasurementError("", [f"{rule} {u.shape[0]}; sweep_frf can do with fewer."])
-    spectra = [_period_spectra(record, period_samples, transient_periods, periods) for record in (u, y)]
+    spectra = [_period_spectra(record, period_samples, periods) for record in (u, y)]
     mean_u, mean_y = (spectrum.mean(axis=0) for spectrum in spectra)  # (e, k, i), (e, k, o)
     frequency = lines_of_dft(period_samples, rate_hz)
     lines = _excited(mean_u)
@@ -101,10 +98,10 @@ def _experiments(record: FloatArray) -> FloatArray:
     return record if record.ndim == 3 else record[None]
 
 
-def _period_spectra(record: FloatArray, period: int, skipped: int, periods: int) -> ComplexArray:
-    """Transform each period: (e, n, c) -> (p, e, k, c)."""
+def _period_spectra(record: FloatArray, period: int, periods: int) -> ComplexArray:
+    """Transform each period but the first: (e, n, c) -> (p, e, k, c)."""
     e, _, c = record.shape
-    cut = record[:, skipped * period : (skipped + periods) * period].reshape(e, periods, period, c)
+    cut = record[:, period : (1 + periods) * period].reshape(e, periods, period, c)
     return np.asarray(np.fft.rfft(cut - cut.mean(axis=(1, 2), keepdims=True), axis=2).transpose(1, 0, 2, 3))
 
 

@@ -141,13 +141,13 @@ def delays(frequency_hz: FloatArray, delay_s: FloatArray) -> ComplexArray:
 
 
 def shapers(
-    frequency_hz: FloatArray, kinds: Sequence[str], shaper_hz: FloatArray, delay_s: float = 0.0, causal: bool = False
+    frequency_hz: FloatArray, kinds: Sequence[str], shaper_hz: FloatArray, causal: bool = False
 ) -> ComplexArray:
     """Return the responses (kinds · frequencies, k) of shapers: centred, or beginning with the command."""
     relative = frequency_hz / shaper_hz[:, None]
     grid = np.arange(0.0, float(relative.max()) + 0.01, 0.01)
     rows = [np.interp(relative, grid, _of_one_hertz(kind, len(grid), causal)) for kind in kinds]
-    return np.concatenate(rows) * delays(frequency_hz, np.array([delay_s]))
+    return np.concatenate(rows)
 
 
 @cache

@@ -53,17 +53,13 @@ class Expectation:
         return [np.asarray(spline(kept, derivative) * inside) for spline in self._splines]
 
 
-def expectation(motion: Motion, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
+def expectation(motion: Motion, machine: Machine, lead_s: float) -> Expectation:
     """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
 
-    Without signatures only the plain motion is simulated, which suffices where the clock's delay is fitted later.
     Raises UnreachableError if the machine cannot execute the motion.
     """
     t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)
     carriages = machine.kinematics.inverse(motion.nozzle(t))
-    if not with_signatures:
-        plain = simulated([machine], [carriages])[0].nozzle_acceleration
-        return Expectation(t, plain, np.empty((0, *plain.shape)), motion.duration_s)
     massive = carriages - MASS_S2 * np.gradient(np.gradient(carriages, 1 / RATE_HZ, axis=0), 1 / RATE_HZ, axis=0)
     friction = machine.effects.get("coulomb_friction", {})
     usual_n = float(np.mean(friction.get("force_n", 0.0)))
@@ -215,12 +211,8 @@ def known_clock(since: FloatArray, record: FloatArray, expected: Expectation, st
     return Matches([start], (record.T @ motion)[None] / max(float(size), 1e-300))
 
 
-def every_clock(since: FloatArray, record: FloatArray, expected: Expectation, known_axes: bool = False) -> Matches:
-    """Correlate at every offset and every ratio of the clocks.
-
-    With `known_axes` the record is along the printer's axes, and only their signs are free: a bed moves against the
-    nozzle. Otherwise any turn of the sensor is allowed.
-    """
+def every_clock(since: FloatArray, record: FloatArray, expected: Expectation) -> Matches:
+    """Correlate at every offset and every ratio of the clocks, whichever way the sensor is turned."""
     period, length = float(since[1] - since[0]), float(since[-1] - since[0])
     steps = int(np.ceil(WORST_CLOCK * length * float(np.mean(BAND_HZ)) / CYCLES_OF_CLOCK_STEP / 4))
     starts, tables = [], []
@@ -229,12 +221,8 @@ def every_clock(since: FloatArray, record: FloatArray, expected: Expectation, kn
         values = expected.at(t)[0]
         size = max(float(np.linalg.norm(record) * np.linalg.norm(values)), 1e-300)
         # (lags, sensor axis, printer axis)
-        if known_axes:
-            curves = np.eye(3) * fftconvolve(values, record[::-1], axes=0)[:, None]
-            likeness = np.abs(curves).sum(axis=(1, 2))
-        else:
-            curves = np.stack([fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1)
-            likeness = np.linalg.svd(curves, compute_uv=False).sum(axis=1)
+        curves = np.stack([fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1)
+        likeness = np.linalg.svd(curves, compute_uv=False).sum(axis=1)
         # loops fit a quarter of a turn later nearly as well
         for best in peaks(likeness, round(APART_S / (period * ratio)), STARTS):
             starts.append((float(t[0] + (best - len(record) + 1) * period * ratio), float(ratio)))
