@@ -193,17 +193,9 @@ def _filled(name: str, command: FloatArray, clock: Clock) -> tuple[FloatArray, l
 
 # ---- the header ----------------------------------------------------------------------------------
 
-_AXES = "ABCxyz"
 _UNITS = {"cmd": "mm", "acc": "m_per_s2", "pos": "mm"}
-COLUMNS = ("t_s", *(f"{kind}_{axis}_{unit}" for kind, unit in _UNITS.items() for axis in _AXES))
-
-# Factors to the unit of the format.
-_FACTORS = {
-    "acc": {"g": "9.80665", "mg": "0.00980665", "mm_per_s2": "0.001", "cm_per_s2": "0.01"},
-    "mm": {"m": "1000", "um": "0.001", "cm": "10", "in": "25.4"},
-    "t": {"ms": "0.001", "us": "1e-6", "ns": "1e-9"},
-}
-_SPELLINGS = {"mm_s2": "mm_per_s2", "m_s2": "m_per_s2", "mms2": "mm_per_s2", "ms2": "m_per_s2", "mps2": "m_per_s2"}
+COLUMNS = ("t_s", *(f"{kind}_{axis}_{unit}" for kind, unit in _UNITS.items() for axis in "ABCxyz"))
+_RULE = "columns are t_s, cmd_*_mm, acc_*_m_per_s2 and pos_*_mm, in these units, with * one of A B C x y z."
 
 
 def signal_of(column: str) -> str | None:
@@ -215,11 +207,8 @@ def signal_of(column: str) -> str | None:
 
 def check_header(columns: Sequence[str]) -> list[str]:
     """List the problems of a recording's header, in full sentences."""
-    if not any(name in COLUMNS for name in columns) and None in [_meant(name) for name in columns]:
-        return [
-            f"The first line, {','.join(columns)[:60]!r}, names no column of a recording; a recording has t_s, its "
-            "command (cmd_A_mm, … or cmd_x_mm, …) and what sensors measured (acc_*_m_per_s2, pos_*_mm)."
-        ]
+    if not any(name in COLUMNS for name in columns):
+        return [f"The first line, {','.join(columns)[:60]!r}, names no column of a recording; {_RULE}"]
     problems = [_unknown(name) for name in dict.fromkeys(columns) if name not in COLUMNS]
     problems += repeated_columns(columns)
     if "t_s" not in columns:
@@ -244,25 +233,8 @@ def _command(columns: Sequence[str]) -> list[str]:
     return [f"Column {name} is missing; a command needs {', '.join(needed)}." for name in missing]
 
 
-def _meant(name: str) -> re.Match[str] | None:
-    """Match a name with another unit, or none."""
-    return re.fullmatch(rf"(?:(cmd|acc|pos)_([{_AXES}])|t)(?:_(\w+))?", name)
-
-
 def _unknown(name: str) -> str:
-    unit = _meant(name)
     if not name:
         return "A column has no name; every column of the header needs one."
-    if unit:
-        return _wrong_unit(name, unit[1] or "t", unit[2] or "", unit[3] or "")
     near = closest(name, COLUMNS)
-    return f"Column {name!r} is unknown" + (f"; did you mean {near!r}?" if near else "; the format has no such column.")
-
-
-def _wrong_unit(name: str, kind: str, axis: str, unit: str) -> str:
-    needed = "t_s" if kind == "t" else f"{kind}_{axis}_{_UNITS[kind]}"
-    factors = _FACTORS[kind if kind in _FACTORS else "mm"]
-    factor = factors.get(_SPELLINGS.get(unit, unit))
-    how = f" and multiply its numbers by {factor}" if factor else ""
-    named = f"names the unit {unit!r}" if unit else "names no unit"
-    return f"Column {name!r} {named}; the format needs {needed!r}: rename it{how}."
+    return f"Column {name!r} is unknown; " + (f"did you mean {near!r}?" if near else _RULE)
