@@ -12,7 +12,7 @@ Each fit brings its machine file's text and its JSON object (`machine_fit.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -42,12 +42,13 @@ from ffcomp.identification.machine_fit import (
     paper_file_text,
 )
 from ffcomp.identification.modal_fit import AxisFit
-from ffcomp.identification.output_error import TOTAL_MASS
+from ffcomp.identification.output_error import EFFECTOR_MASSES, TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest, RingingRequest
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.shapers.calibration import shaper_advice
-from models.file import machine_of_text
+from models.errors import MachineFileError
+from models.file import check_text, machine_of_text, updated_text
 from models.kinds import is_one_axis
 from models.machine import Machine, value_of, with_values
 
@@ -71,6 +72,7 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
     MachineFileError
     """
     data = cast("tuple[Path, ...]", request.data)
+    _check_known(start, request.known or {})
     if is_one_axis(start):
         if request.plan is not None or request.method != "direct":
             raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")
@@ -96,6 +98,21 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
     if not gathered.responses:
         return task.resonances(progress)
     return _with_shapers(task.stepwise() if request.method == "stepwise" else task.parameters(progress))
+
+
+def _check_known(start: Machine, known: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse a number that no machine file may hold, before anything is fitted to it; the fit names unknown keys."""
+    tunable = start.vibration.tunable if start.path else ()
+    masses = {key: value_of(start, key) for key in EFFECTOR_MASSES if key in tunable}
+    for key, (value, _) in known.items():
+        values = {key: value} if key in tunable else {}
+        if key == TOTAL_MASS:
+            values = {name: mass * value / sum(masses.values()) for name, mass in masses.items()}
+        try:
+            if values:
+                check_text(updated_text(Path(start.path), values), key)
+        except MachineFileError as error:
+            raise RequestError(f"--known {key}={value:g}: {' '.join(error.problems)}") from None
 
 
 READ_SD = 0.05  # of a frequency that is read off the waves of a print

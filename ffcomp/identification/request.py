@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -36,11 +37,15 @@ def known_numbers(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 def _known(text: str) -> tuple[str, tuple[float, float]]:
     key, _, number = text.partition("=")
-    value, _, sd = number.replace("+-", "±").partition("±")
+    known, _, spread = number.replace("+-", "±").partition("±")
     try:
-        return key.strip(), (float(value), float(sd) if sd else 0.01 * abs(float(value)))
+        value = float(known)
+        sd = float(spread) if spread else 0.01 * abs(value)
+        if not (isfinite(value) and 0.0 < sd < inf):
+            raise ValueError
     except ValueError:
-        raise RequestError(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers.") from None
+        raise RequestError(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers, SD above zero.") from None
+    return key.strip(), (value, sd)
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,8 @@ CASES = [
     (f"compare squares.gcode {DELTA} --plant kossel", 5, "kinematics.arm_lengths_mm is 269"),
     ("identify fit empty -m kossel -o out.toml", 5, "empty"),
     ("identify fit nan.csv -m kossel -o out.toml", 5, "numbers are missing"),
+    ("identify fit nan.csv -m kossel --known effector.total_mass_kg=600", 2, "--known effector.total_mass_kg=600: eff"),
+    ("identify fit nan.csv -m kossel --known carriage.mass_kg=nan", 2, "--known 'carriage.mass_kg=nan': it reads"),
     ("identify fit columns.csv -m kossel -o out.toml", 5, "imag"),
     ("identify fit run.csv -m kossel -o out.toml", 5, "cmd_B"),
     ("identify fit text.csv -m kossel -o out.toml", 5, "first line must be"),
