@@ -90,7 +90,7 @@ def _exchanged(
     exchange = find_exchange(axes, answers) if exchanging else None
     if exchange is None or exchange.left > CROSS_TALK or max(map(abs, exchange.turned_rad.values())) > MOST_TURNED:
         return None, _crossing(answers, axes)
-    sentences = _crossing([a for a in answers if "z" in (a.axis, a.measured.input[-1]) or a.direct], axes)
+    sentences = _crossing([a for a in answers if "z" in (a.axis, a.input[-1]) or a.direct], axes)
     sentences += [
         f"{name}: the sensor seems turned about z by {np.degrees(turn):.0f}°, which the exchange of motion leaves out."
         for name, turn in exchange.turned_rad.items()
@@ -111,10 +111,7 @@ def _exchanged(
 
 def _crossing(answers: Sequence[Response], axes: Sequence[AxisFit]) -> list[str]:
     """Report how much of an axis' motion the others show, which the model does not explain."""
-    power = {
-        (a.measured.input, a.measured.output): float(np.sum(np.maximum(np.abs(a.value) ** 2 - a.measured.variance, 0)))
-        for a in answers
-    }
+    power = {(a.input, a.output): float(np.sum(np.maximum(np.abs(a.value) ** 2 - a.variance, 0))) for a in answers}
     moved = [axis.name for axis in axes]
     sentences = []
     for (cmd, output), crossed in power.items():
@@ -194,7 +191,7 @@ def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Excha
 
 
 def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: Response) -> _Crossed | None:
-    to, of = crossed.axis, crossed.measured.input[-1]
+    to, of = crossed.axis, crossed.input[-1]
     direct = next((a for a in answers if a.direct and a.axis == of and a.source == crossed.source), None)
     if of != OTHER[to] or direct is None or not np.array_equal(direct.frequency_hz, crossed.frequency_hz):
         return None
@@ -203,9 +200,10 @@ def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: R
     lines = np.abs(f_moved) > WEAKEST * np.abs(f_moved).max()
     exchanged = f_shown * (1 - closed_form(_driven(moved), direct.frequency_hz)) / f_moved
     sign = _sign(fitted[to], shown) * _sign(fitted[of], moved)
-    shows, size = crossed.measured, np.abs(crossed.value / direct.value) ** 2
-    variance = shows.variance + size * direct.measured.variance  # to first order: the direct response is noisy too
-    kept = replace(shows, frequency_hz=shows.frequency_hz[lines], value=shows.value[lines], variance=variance[lines])
+    size = np.abs(crossed.value / direct.value) ** 2
+    variance = crossed.variance + size * direct.variance  # to first order: the direct response is noisy too
+    at_lines = {"frequency_hz": crossed.frequency_hz[lines], "value": crossed.value[lines]}
+    kept = replace(crossed, **at_lines, variance=variance[lines])
     return _Crossed(kept, (sign * exchanged * direct.value)[lines], direct.value[lines])
 
 

@@ -146,35 +146,18 @@ class Spectrum:
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
-    """A frequency response along the axis; nuisance parameters are the gain and the delay in ms."""
-
-    measured: FrequencyResponse
-
-    @property
-    def source(self) -> str:
-        """File name."""
-        return self.measured.source
+class Response(FrequencyResponse):
+    """A frequency response along an axis; nuisance parameters are the gain and the delay in ms."""
 
     @property
     def axis(self) -> str:
         """The measured axis."""
-        return self.measured.output[-1]
+        return self.output[-1]
 
     @property
     def direct(self) -> bool:
         """Whether the axis answers its own command."""
-        return self.measured.input[-1] == self.axis
-
-    @property
-    def frequency_hz(self) -> FloatArray:
-        """(k,) Hz."""
-        return self.measured.frequency_hz
-
-    @property
-    def value(self) -> ComplexArray:
-        """(k,) as measured."""
-        return self.measured.value
+        return self.input[-1] == self.axis
 
     @property
     def level(self) -> FloatArray:
@@ -185,7 +168,7 @@ class Response:
     @property
     def unit(self) -> str:
         """Unit of the levelled value."""
-        return f"{self.measured.input} to {self.measured.output}, mm/mm"
+        return f"{self.input} to {self.output}, mm/mm"
 
     @property
     def limits(self) -> FloatArray:
@@ -194,27 +177,26 @@ class Response:
 
     @property
     def _accelerates(self) -> bool:
-        return self.measured.output.startswith("acc_")
+        return self.output.startswith("acc_")
 
     def begin(self, modes: FloatArray) -> FloatArray:
         """Estimate gain and delay with given modes."""
         h = self.model(modes, np.array([1.0, 0.0]))
         weight = 1 / self.observed.variance(COARSE)[: len(h)]
-        turned = np.exp(1e-3 * np.outer(DELAYS_MS, self.measured.s))
+        turned = np.exp(1e-3 * np.outer(DELAYS_MS, self.s))
         gain = (turned @ (weight * h.conj() * self.value)).real / float(np.sum(weight * np.abs(h) ** 2))
         best = int(np.argmax(np.abs(gain)))
         return np.array([gain[best], DELAYS_MS[best]])
 
     def model(self, modes: FloatArray, nuisance: FloatArray) -> ComplexArray:
         """Predict the response."""
-        s = self.measured.s
-        h = closed_form(modes, self.frequency_hz) * (s**2 if self._accelerates else 1.0)
-        return np.asarray(nuisance[0] * np.exp(-1e-3 * nuisance[1] * s) * h)
+        h = closed_form(modes, self.frequency_hz) * (self.s**2 if self._accelerates else 1.0)
+        return np.asarray(nuisance[0] * np.exp(-1e-3 * nuisance[1] * self.s) * h)
 
     @cached_property
     def observed(self) -> Observation:
         """Real, then imaginary parts, (2 k,), and how far they may be off."""
-        return observed_response(self.measured)
+        return observed_response(self)
 
     def rows(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Predict real, then imaginary parts: (2 k,)."""
@@ -225,7 +207,7 @@ class Response:
         """Differentiate the prediction: (2 k, p)."""
         model, h = self.model(modes, nuisance), closed_form(modes, self.frequency_hz)
         by_modes = model / h * closed_form_slopes(modes, self.frequency_hz)
-        columns = np.stack([*by_modes, model / nuisance[0], -1e-3 * self.measured.s * model], axis=1)
+        columns = np.stack([*by_modes, model / nuisance[0], -1e-3 * self.s * model], axis=1)
         return np.concatenate([columns.real, columns.imag])
 
     def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
@@ -235,12 +217,12 @@ class Response:
     def remarks(self, nuisance: FloatArray) -> list[str]:
         """Describe a reversed sensor, a wrong scale or an unknown delay."""
         gain, delay_ms = nuisance
-        what = f"{Path(self.source).name}, {self.measured.input} to {self.measured.output}"
+        what = f"{Path(self.source).name}, {self.input} to {self.output}"
         if gain < 0:
             return [f"{what}: it moves against its command. A sensor on a bed that moves does; else turn --axes-map."]
         if abs(gain - 1) > WRONG_SCALE:
             return [f"{what}: at rest it answers {gain:.2f} times its command, not once; is the sensor's scale right?"]
-        if not self.measured.clock and delay_ms > 0.5:
+        if not self.clock and delay_ms > 0.5:
             return [
                 f"{what}: it comes {delay_ms:.1f} ms late, which modes do not explain (see the effect command_delay)."
             ]
@@ -261,11 +243,11 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
                 "axis; give the response of the whole printer to a command, such as cmd_x to acc_x."
             )
         elif not any(
-            (response.input, response.output) == (other.measured.input, other.measured.output)
+            (response.input, response.output) == (other.input, other.output)
             and np.array_equal(response.value, other.value)
             for other in kept
         ):  # a simulated carriage is the nozzle, to the last digit
-            kept.append(Response(response))
+            kept.append(Response(**vars(response)))
     return kept, left_out
 
 

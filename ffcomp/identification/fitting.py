@@ -37,12 +37,9 @@ from ffcomp.identification.machine_fit import (
     StepwiseFit,
     axes_file_text,
     hash_of,
-    machine_file_text,
-    modes_file_text,
-    paper_file_text,
 )
 from ffcomp.identification.modal_fit import AxisFit
-from ffcomp.identification.output_error import EFFECTOR_MASSES, TOTAL_MASS
+from ffcomp.identification.output_error import EFFECTOR_MASSES, TOTAL_MASS, UNKNOWNS
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest, RingingRequest
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
@@ -187,16 +184,27 @@ class _Task:
     def parameters(self, progress: Progress) -> ParametersFit:
         """Fit all parameters to all frequency responses."""
         result = identify(self.start, self.gathered.responses, self.known, progress)
-        return ParametersFit(
-            **self.common, text=machine_file_text(self.origin, result), advice=result.advice, result=result
+        text = self.origin.text_of(
+            {key: e for key, e in result.determined.items() if key != TOTAL_MASS},
+            "fit",
+            responses=len(result.responses),
+            misfit_chi_squared_per_degree_of_freedom=float(f"{result.misfit:.4g}"),
+            model_error_share=float(f"{result.model_error:.3g}"),
+            kept_from_the_starting_file=list(result.kept),
         )
+        return ParametersFit(**self.common, text=text, advice=result.advice, result=result)
 
     def stepwise(self) -> StepwiseFit:
         """Fit by the paper's method."""
         if TOTAL_MASS not in self.known:
             raise RequestError(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
         result = identify_as_paper(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
-        return StepwiseFit(**self.common, text=paper_file_text(self.origin, result), result=result)
+        values = {name: float(f"{value_of(result.machine, name):.6g}") for name in UNKNOWNS}
+        by = f"identified {self.origin.date} by ffcomp identify fit --method stepwise"
+        agreed = {step.title: float(f"{step.consistency:.4g}") for step in result.steps}
+        provenance = {name.partition("[")[0]: by for name in values}
+        text = self.origin.text(values, {}, provenance, chi_squared_per_degree_of_freedom=agreed)
+        return StepwiseFit(**self.common, text=text, result=result)
 
     def axes(self, progress: Progress) -> AxesFit:
         """Fit the modes of cartesian and CoreXY axes."""
@@ -231,9 +239,10 @@ class _Task:
         resonances = [Resonance(name, (0.0, 0.0), mode.frequency_hz, mode.damping_ratio) for name, mode in main]
         resonances += _of_towers(self.belts)
         started = starting_machine(self.start, resonances) if resonances and self.request.output is not None else None
+        moved = [] if started is None else [float(f"{f:.4g}") for f in started.predicted_hz]
         return ResonancesFit(
             **self.common,
-            text="" if started is None else modes_file_text(self.origin, started),
+            text="" if started is None else self.origin.text_of(started.estimates, "fit", resonances_hz=moved),
             advice=[
                 *left_out,
                 "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "

@@ -16,7 +16,7 @@ from ffcomp.identification.belts import BeltComparison
 from ffcomp.identification.direct import scale_is_weak
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
-from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS, Fitted
+from ffcomp.identification.output_error import Fitted
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import keys
@@ -24,7 +24,6 @@ from ffcomp.result import Fact, Result
 from ffcomp.shapers.calibration import ShaperAdvice, in_words
 from gcode.atomic_write import replace_atomically
 from models.file import check_text, updated_text
-from models.kinds import delta_vibration
 from models.machine import Machine, value_of
 
 
@@ -333,42 +332,12 @@ class Origin:
         return self.text(values | dict(others or {}), uncertainty, notes | dict(provenance or {}), **identified)
 
 
-def machine_file_text(origin: Origin, result: Fitted) -> str:
-    """Write the file of all parameters of a delta."""
-    return origin.text_of(
-        {key: e for key, e in result.determined.items() if key != TOTAL_MASS},
-        "fit",
-        responses=len(result.responses),
-        misfit_chi_squared_per_degree_of_freedom=float(f"{result.misfit:.4g}"),
-        model_error_share=float(f"{result.model_error:.3g}"),
-        kept_from_the_starting_file=list(result.kept),
-    )
-
-
 def _rounded(estimate: Estimate) -> float:
     """Round to a tenth of the standard uncertainty."""
     if not estimate.sd > 0 or not np.isfinite(estimate.sd):
         return float(f"{estimate.value:.6g}")
     digits = int(np.clip(np.ceil(np.log10(abs(estimate.value) / estimate.sd)) + 2, 3, 8))
     return float(f"{estimate.value:.{digits}g}")
-
-
-def paper_file_text(origin: Origin, result: PaperIdentification) -> str:
-    """Write the file of the paper's method."""
-    machine = result.machine
-    names = [n for n in UNKNOWNS if delta_vibration(machine).carriage.drive is not None or n not in DRIVE]
-    by = f"identified {origin.date} by ffcomp identify fit --method stepwise"
-    return origin.text(
-        {name: float(f"{value_of(machine, name):.6g}") for name in names},
-        {},
-        {name.partition("[")[0]: by for name in names},
-        chi_squared_per_degree_of_freedom={step.title: float(f"{step.consistency:.4g}") for step in result.steps},
-    )
-
-
-def modes_file_text(origin: Origin, started: ResonanceStart) -> str:
-    """Write the file of a resonance start."""
-    return origin.text_of(started.estimates, "fit", resonances_hz=[float(f"{f:.4g}") for f in started.predicted_hz])
 
 
 def axes_file_text(origin: Origin, result: IdentifiedAxes) -> str:

@@ -17,7 +17,6 @@ from ffcomp.identification.axes import identify_axes
 from ffcomp.identification.axis_spectra import Response, Spectrum, closed_form
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.resonance_tests import BeltTest, spectrum_of
-from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
@@ -48,14 +47,14 @@ def answer_of(*arguments: object) -> Any:
     return json.loads(result.stdout)
 
 
-def response(modes: FloatArray, *, noise: float, seed: int, output: str = "acc_x", **other: Any) -> FrequencyResponse:
+def response(modes: FloatArray, *, noise: float, seed: int, output: str = "acc_x", **other: Any) -> Response:
     """With white noise of this share of the largest value."""
     s = 2j * np.pi * F
     value = closed_form(modes, F) * (s**2 if output.startswith("acc") else 1.0)
     rng = np.random.default_rng(seed)
     sd = noise * np.abs(value).max()
     value = value + sd / np.sqrt(2) * (rng.normal(size=len(F)) + 1j * rng.normal(size=len(F)))
-    return FrequencyResponse(f"cmd_{output[-1]}", output, F, value, np.full(len(F), sd**2), source="made", **other)
+    return Response(f"cmd_{output[-1]}", output, F, value, np.full(len(F), sd**2), source="made", **other)
 
 
 def resonance_capture(folder: Path, name: str, modes: FloatArray, noise: float, seed: int) -> Path:
@@ -91,14 +90,14 @@ def test_modes_of_a_response(seed: int) -> None:
     first = rng.uniform(25, 60)
     share = rng.uniform(0.6, 0.9)
     modes = np.array([[first, rng.uniform(0.03, 0.12), share], [first * rng.uniform(1.4, 2.2), 0.05, 1 - share]])
-    near(fit_axis("x", [Response(response(modes, noise=0.02, seed=seed))]), modes)
+    near(fit_axis("x", [response(modes, noise=0.02, seed=seed)]), modes)
     alone = np.array([[first, modes[0, 1], 1.0]])
-    near(fit_axis("x", [Response(response(alone, noise=0.02, seed=seed, output="pos_x"))]), alone)
+    near(fit_axis("x", [response(alone, noise=0.02, seed=seed, output="pos_x")]), alone)
 
 
 def test_a_second_mode_is_not_invented() -> None:
     for seed in range(3):
-        noisy = [Response(response(ONE, noise=0.1, seed=20 * seed + k)) for k in range(2)]
+        noisy = [response(ONE, noise=0.1, seed=20 * seed + k) for k in range(2)]
         found = fit_axis("x", noisy)
         assert len(found.modes) == 1 and "chance" in found.verdict
 
@@ -106,7 +105,7 @@ def test_a_second_mode_is_not_invented() -> None:
 def test_two_modes_nearer_than_they_are_wide_are_one() -> None:
     """Two modes 0.1 Hz apart were written into a machine file: what differs from one mode is an error of the model."""
     twins = np.array([[40.0, 0.03, 0.7], [40.1, 0.06, 0.3]])
-    found = fit_axis("x", [Response(response(twins, noise=1e-3, seed=1))])
+    found = fit_axis("x", [response(twins, noise=1e-3, seed=1)])
     assert len(found.modes) == 1 and "cannot be separated" in found.verdict
     assert found.modes[0].frequency_hz.value == pytest.approx(40.0, rel=0.005)
 
@@ -115,7 +114,7 @@ def test_intervals_hold_the_truth() -> None:
     """90 % of 10 are 9; 6 or fewer come by chance once in 80."""
     held = np.zeros(2)
     for seed in range(10):
-        (mode,) = fit_axis("x", [Response(response(ONE, noise=0.05, seed=seed))]).modes
+        (mode,) = fit_axis("x", [response(ONE, noise=0.05, seed=seed)]).modes
         held += [e.low < true < e.high for e, true in ((mode.frequency_hz, 43.0), (mode.damping_ratio, 0.07))]
     assert held.min() >= 7
 
