@@ -124,9 +124,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
     if start.vibration.position_dependent:
         damping = float(start.vibration.modes_at(np.array(start.kinematics.centre_mm)).damping_ratios[0])
-        resonances = [
-            Resonance(axis, (0.0, 0.0), lognormal(hz, READ_SD), lognormal(damping, 1.0)) for axis, hz in read.items()
-        ]
+        resonances = [Resonance(axis, lognormal(hz, READ_SD), lognormal(damping, 1.0)) for axis, hz in read.items()]
         started = starting_machine(start, resonances)
         kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
         belts = with_values(start, {key: e.value for key, e in kept.items()})
@@ -236,7 +234,7 @@ class _Task:
         usable, rough = self.smooth(axes)
         left_out = [*silent, *rough]
         main = [(axis.name, axis.modes[0]) for axis in usable]
-        resonances = [Resonance(name, (0.0, 0.0), mode.frequency_hz, mode.damping_ratio) for name, mode in main]
+        resonances = [Resonance(name, mode.frequency_hz, mode.damping_ratio) for name, mode in main]
         resonances += _of_towers(self.belts)
         started = starting_machine(self.start, resonances) if resonances and self.request.output is not None else None
         moved = [] if started is None else [float(f"{f:.4g}") for f in started.predicted_hz]
@@ -272,4 +270,4 @@ def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
     if belts is None:
         return []
     frequency, damping = (float(np.mean([e.value for e in belts.modes_hz])), float(np.mean(belts.damping_ratio)))
-    return [Resonance("x", (0.0, 0.0), normal(frequency, belts.modes_hz[0].sd), lognormal(damping, DAMPING_SD))]
+    return [Resonance("x", normal(frequency, belts.modes_hz[0].sd), lognormal(damping, DAMPING_SD))]

@@ -27,10 +27,9 @@ MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
 @dataclass(frozen=True)
 class Resonance:
-    """The main mode of one measurement."""
+    """The main mode of one measurement, in the middle of the bed."""
 
     axis: str  # x, y or z of the nozzle
-    place_mm: tuple[float, float]
     frequency_hz: Estimate
     damping_ratio: Estimate
 
@@ -87,6 +86,6 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Resonan
 
 def main_mode(machine: Machine, r: Resonance) -> tuple[float, float]:
     """Find the mode that rings and moves the nozzle most along the axis, Hz and damping ratio."""
-    modes = machine.vibration.modes_at(np.array(r.place_mm))
+    modes = machine.vibration.modes_at(np.array(machine.kinematics.centre_mm))
     most = int(np.argmax(np.abs(modes.nozzle[:, AXES.index(r.axis)]) * (modes.damping_ratios < RINGING)))
     return float(modes.frequencies_hz[most]), float(modes.damping_ratios[most])

@@ -99,7 +99,7 @@ def read_recording(path: str | Path) -> Recording:
     table = read_table(path, text)
     problems = [*table.problems, *check_header(table.columns)]
     clock, clock_problems = _clock(table)
-    problems += clock_problems or _holes(table, clock)
+    problems += clock_problems
     signals = _signals(table)
     problems += [text for name in signals for text in broken_sensor(name, table.column(name), table.row)]
     if problems or clock is None:
@@ -122,18 +122,6 @@ def _clock(table: Table) -> tuple[Clock | None, list[str]]:
     time_s = table.column("t_s")
     timed = np.isfinite(time_s)
     return clock_of(time_s[timed], table.row[timed])
-
-
-def _holes(table: Table, clock: Clock | None) -> list[str]:
-    """Report rows that are missing altogether, for longer than a command may be."""
-    if clock is None or np.diff(clock.index).max() * clock.period_s <= _LONGEST_COMMAND_GAP_S:
-        return []
-    k = int(np.diff(clock.index).argmax())
-    row = table.row[np.isfinite(table.column("t_s"))][k + 1]
-    return [
-        f"The time jumps from {clock.time_s[k]:.6g} s to {clock.time_s[k + 1]:.6g} s at row {row}; rows may be missing "
-        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, because the command there is unknown. Cut the recording there."
-    ]
 
 
 def _signals(table: Table) -> list[str]:

@@ -17,7 +17,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import lines_of_dft
 from ffcomp.measurement.modal import KAISER_BETA
-from models.arrays import FloatArray
+from models.arrays import FloatArray, IntArray
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
 _WINDOW_S = 0.5
@@ -66,7 +66,7 @@ def swept_band(capture: Capture) -> SweptBand | None:
     if len(time_s) < _FEWEST_WINDOWS:
         return None
     line = _refined(time_s, frequency, prominence, _coarse_line(time_s, prominence))
-    begin, end, score = _stretch(_along(prominence, line) - _STANDS_OUT)
+    (begin,), (end,), (score,) = _stretches(_gains(_widened(prominence), line[None]))
     ridge = np.clip(line, 0, len(frequency) - 1) * frequency[1]
     low, high = sorted((float(ridge[begin]), float(ridge[end])))
     if score < _LEAST_SCORE * len(time_s) or high - low < _LEAST_WIDTH_HZ:
@@ -96,7 +96,7 @@ def _coarse_line(time_s: FloatArray, prominence: FloatArray) -> FloatArray:
     thin = _widened(prominence[::step])
     share = (time_s[::step] - time_s[0]) / (time_s[-1] - time_s[0])
     ends = np.arange(-_OVERHANG, prominence.shape[1] + _OVERHANG)
-    score = np.array([_scores(thin, begin + (ends[:, None] - begin) * share) for begin in ends])
+    score = np.array([_stretches(_gains(thin, begin + (ends[:, None] - begin) * share))[2] for begin in ends])
     alike = np.argwhere(score > 0.99 * score.max())
     first = np.array(np.unravel_index(int(score.argmax()), score.shape))
     begin, end = alike[(np.abs(alike - first) <= _NEAR_LINES).all(axis=1)].mean(axis=0) - _OVERHANG
@@ -109,17 +109,21 @@ def _widened(prominence: FloatArray) -> FloatArray:
     return np.maximum(prominence, np.maximum(padded[:, 2:], padded[:, :-2]))
 
 
-def _scores(prominence: FloatArray, lines: FloatArray) -> FloatArray:
-    """Sum over the best stretch of each of many lines (l, w) through (w, k)."""
+def _gains(prominence: FloatArray, lines: FloatArray) -> FloatArray:
+    """Return what each window of (w, k) counts for each of many lines (l, w): (l, w)."""
     at = np.rint(lines).astype(int)
     inside = (at >= 2) & (at < prominence.shape[1])
     value = prominence[np.arange(len(prominence)), np.clip(at, 0, prominence.shape[1] - 1)]
-    gain = np.where(inside, np.minimum(value - _STANDS_OUT, _AT_MOST), -_STANDS_OUT)
-    running, best = np.zeros(len(lines)), np.zeros(len(lines))
-    for column in gain.T:
-        running = np.maximum(0.0, running + column)
-        best = np.maximum(best, running)
-    return best
+    return np.where(inside, np.minimum(value - _STANDS_OUT, _AT_MOST), -_STANDS_OUT)
+
+
+def _stretches(gain: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return first and last window of the stretch of each line (l, w) with the largest sum, and the sum: (l,) each."""
+    total = np.cumsum(np.pad(gain, ((0, 0), (1, 0))), axis=1)
+    rise = total - np.minimum.accumulate(total, axis=1)
+    last = rise.argmax(axis=1)
+    before = np.where(np.arange(total.shape[1]) <= last[:, None], total, np.inf).argmin(axis=1)
+    return before, np.maximum(last - 1, before), rise.max(axis=1)
 
 
 def _refined(time_s: FloatArray, frequency: FloatArray, prominence: FloatArray, line: FloatArray) -> FloatArray:
@@ -136,22 +140,6 @@ def _refined(time_s: FloatArray, frequency: FloatArray, prominence: FloatArray, 
         fitted = np.polyval(np.polyfit(time_s[clear], top[clear], 1), time_s)
         clear &= np.abs(top - fitted) < 2.0
     return np.asarray(fitted)
-
-
-def _along(prominence: FloatArray, line: FloatArray) -> FloatArray:
-    """Return the prominence along a line (w,)."""
-    at = np.rint(line).astype(int)
-    value = _widened(prominence)[np.arange(len(at)), np.clip(at, 0, prominence.shape[1] - 1)]
-    return np.where((at >= 1) & (at < prominence.shape[1]), value, 0.0)
-
-
-def _stretch(gain: FloatArray) -> tuple[int, int, float]:
-    """Return the first and last index of the stretch with the largest sum, and the sum."""
-    total = np.concatenate([[0.0], np.cumsum(np.minimum(gain, _AT_MOST))])
-    before = np.minimum.accumulate(total)
-    end = int(np.argmax(total - before))
-    begin = int(np.argmin(total[: end + 1]))
-    return begin, max(end - 1, begin), float(total[end] - total[begin])
 
 
 def fitted_band(frequency_hz: FloatArray, swept: SweptBand | None) -> tuple[float, float]:

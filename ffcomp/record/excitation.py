@@ -10,7 +10,7 @@ mm, s, mm/s, mm/s²; carriages in the order A, B, C. Times of an experiment begi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -52,7 +52,6 @@ class ExcitationRequest:
     highest_hz: float = 150.0
     period_s: float = 4.0
     periods: int = 6
-    z_acceleration_mm_per_s2: float | None = None  # the firmware's own limit; None: the machine file's acceleration
     acceleration_mm_per_s2: float | None = None  # peak of the excitation; None: the largest that the limits allow
     repeats: int = 1
     seed: int = 1
@@ -69,8 +68,6 @@ def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
     """Design every experiment; LimitsError for a motion out of reach, too fast or too hard, with one that would fit."""
     spectrum_band = band(request.lowest_hz, request.highest_hz, request.period_s)
     output = settings_for(machine).output
-    if request.z_acceleration_mm_per_s2:
-        output = replace(output, z_acceleration_mm_per_s2=request.z_acceleration_mm_per_s2)
     limits = machine.limits
     nozzle = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, output.z_acceleration_mm_per_s2
     carriage = limits.carriage_velocity_mm_per_s, limits.carriage_acceleration_mm_per_s2

@@ -275,18 +275,12 @@ def load_plan(path: str | Path) -> Plan:
     try:
         read = json.loads(Path(path).read_text(encoding="utf-8"))
         if read["schema"] != SCHEMA:
-            raise MeasurementError(str(path), [f"The schema is {read['schema']!r}; {SCHEMA!r} is needed."])
+            raise ValueError(f"its schema is {read['schema']!r}")
         return _plan(read)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(
-            str(path), [f"This is not JSON: {error}. Give the .json file next to the G-code."]
-        ) from None
-    except KeyError as error:
-        raise MeasurementError(str(path), [f"The key {error} is missing; it belongs to a plan ({SCHEMA})."]) from None
-    except (TypeError, ValueError, IndexError, AttributeError) as error:
-        if isinstance(error, MeasurementError):
-            raise
-        raise MeasurementError(str(path), [f"This is no complete plan ({SCHEMA}): {error}."]) from None
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
+        rule = f"This is no complete plan ({SCHEMA}): {what}. Give the .json file next to the G-code."
+        raise MeasurementError(str(path), [rule]) from None
 
 
 def _plan(read: Mapping[str, Any]) -> Plan:

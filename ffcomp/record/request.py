@@ -43,7 +43,7 @@ def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
 
 _PLACED = {"at", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
 _OPTIONS_OF: dict[Purpose, set[str]] = {
-    "identify": _PLACED | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods"},
+    "identify": _PLACED | {"axes", "lowest_hz", "highest_hz", "period_s", "periods"},
     "diagnose": _PLACED | {"kind", "seconds", "print_file"},
     "check": set(),
     "scan": {"amplitude_mm_per_s2", "height_mm", "seed", "pen", "line_width_mm", "nozzle_c", "bed_c"},
@@ -130,15 +130,6 @@ class PlanRequest(Request):
             "identify (default: a safe share of the machine's limits), of the strokes for scan (default: 8000, or what "
             "the carriages allow).",
             ACCURACY,
-            metavar="A",
-            low=1.0,
-        ),
-    ] = None
-    z_acceleration_mm_per_s2: Annotated[
-        float | None,
-        Option(
-            "For identify: the firmware's limit in Z (Klipper: max_z_accel). Default: the machine file's acceleration.",
-            MACHINE,
             metavar="A",
             low=1.0,
         ),
