@@ -108,7 +108,8 @@ BELT_POSITION_STIFFNESS = _drive(
 
 def _hardening_terms(values: Values, printer: Terms) -> Terms:
     cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
-    peak = _peak_stretch(printer["motor_k"], cubic, quintic)
+    at_drive = "stiffness" in printer and float(values["at_drive"]) > 0.5
+    peak = _peak_stretch(np.full(3, printer["stiffness"]) if at_drive else printer["motor_k"], cubic, quintic)
     return {"cubic": cubic, "quintic": quintic, "peak_stretch": peak, "hardens_at_drive": values["at_drive"]}
 
 

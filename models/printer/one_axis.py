@@ -118,7 +118,7 @@ def simulate_load(machine: Machine, motor_mm: FloatArray, dt_s: float, shot: int
     if not axis.play_at_drive:
         load = load._replace(half_backlash=axis.half_backlash, landing=axis.landing)
     if not axis.hardens_at_drive:
-        load = load._replace(cubic=axis.cubic, quintic=axis.quintic)
+        load = load._replace(cubic=axis.cubic, quintic=axis.quintic, peak_stretch=axis.peak_stretch)
     return _integrated(load, 1e-3 * motor_mm, dt_s, shot, begin)
 
 

@@ -62,7 +62,7 @@ WIDTH = 3 * LANES
 def in_rows(m: FloatArray, states: FloatArray, modes: FloatArray) -> FloatArray:
     """Return m with the rows of this file: k printers' states (k, rows, 3) and modes (k, n, 7, 3).
 
-    Idle lanes repeat the first printer. A mode of zeros stays at rest.
+    Idle lanes repeat the last printer. A mode of zeros stays at rest.
     """
     rows = np.zeros((MODES + EACH * modes.shape[1]) * LANES)
     for n in range(len(m)):
@@ -70,7 +70,7 @@ def in_rows(m: FloatArray, states: FloatArray, modes: FloatArray) -> FloatArray:
     for n in range(WIDTH):
         rows[COMPLIANCE * LANES + n] = 1.0 / at(m, r.belt_k, n)
     for l in range(LANES):
-        source = l if l < len(states) else 0
+        source = min(l, len(states) - 1)
         for a in range(3):
             for row in range(states.shape[1]):
                 rows[(_state_row(row) + a) * LANES + l] = states[source, row, a]

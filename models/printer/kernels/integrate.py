@@ -54,14 +54,15 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
 
 @compiled
 def fill_lanes(states: FloatArray, parameters: FloatArray) -> FloatArray:
-    """Return m with these printers : (k, STATES) and (k, COUNT) in its first lanes. Idle lanes hold zeros and NaN."""
+    """Return m with these printers : (k, STATES) and (k, COUNT) in its first lanes. Idle lanes repeat the last one."""
     m = np.zeros(ROWS * LANES)
-    for l in range(len(states)):
+    for l in range(LANES):
+        source = min(l, len(states) - 1)
         for n in range(STATES):
-            m[(r.BASE + n) * LANES + l] = states[l, n]
-            m[(r.NOW + n) * LANES + l] = states[l, n]
+            m[(r.BASE + n) * LANES + l] = states[source, n]
+            m[(r.NOW + n) * LANES + l] = states[source, n]
         for n in range(COUNT):
-            m[(PRINTER + n) * LANES + l] = parameters[l, n]
+            m[(PRINTER + n) * LANES + l] = parameters[source, n]
     return m
 
 

@@ -10,7 +10,7 @@ from models.arrays import FloatArray
 from models.printer.kernels import axes
 from models.printer.kernels import record as r
 from models.printer.kernels.axes import MOTION, MOTORS, WIDTH, PerMode
-from models.printer.kernels.integrate import PAGE, active_effects, copy_page, fill_lanes
+from models.printer.kernels.integrate import PAGE, active_effects, copy_page, empty_samples, fill_lanes
 from models.printer.kernels.motors import Commands, command_times, has_springs, read_command
 from models.printer.kernels.record import LANES, ONE, STATES, THREE, TWO, ZERO, Rows
 from models.printer.kernels.vectors import at, compiled, dot, vector
@@ -31,7 +31,8 @@ def _integrate(
     first: int, dt: float, substeps: int, units: FloatArray,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate; `like` has the length of an axis' modes."""
-    rows, m = ranges[:, 1] - ranges[:, 0] - first, axes.in_rows(_filled(parameters), states, modes)
+    rows, filled = ranges[:, 1] - ranges[:, 0] - first, fill_lanes(np.zeros((len(states), STATES)), parameters)
+    m = axes.in_rows(filled, states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
     h, straight, springs, swaying = dt / substeps, not has.delay, has_springs(m), axes.sways(m)
@@ -61,23 +62,10 @@ def _integrate(
 
 
 @compiled
-def _filled(parameters: FloatArray) -> FloatArray:
-    """Return m with the parameters of k printers in its lanes; idle lanes repeat the last one's."""
-    repeated = np.empty((LANES, parameters.shape[1]))
-    for l in range(LANES):
-        for n in range(parameters.shape[1]):
-            repeated[l, n] = parameters[min(l, len(parameters) - 1), n]
-    return fill_lanes(np.zeros((LANES, STATES)), repeated)
-
-
-@compiled
 def _samples(k: int, rows: int, swaying: bool) -> tuple[FloatArray, ...]:
     """Allocate what `integrate_axes` returns; where nothing sways, carriages move as the nozzle does."""
-    size = (k, rows, 3)
-    place, velocity, acceleration, motor = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    if swaying:
-        return np.empty(size), np.empty(size), np.empty(size), place, velocity, acceleration, motor
-    return place, velocity, acceleration, place, velocity, acceleration, motor
+    samples = empty_samples(k, rows)
+    return samples if swaying else (*samples[3:6], *samples[3:])
 
 
 @compiled

@@ -171,7 +171,12 @@ def motors(m: FloatArray) -> None:
 @inlined
 def effective_stretch(m: FloatArray, n: int, stretch: float) -> float:
     """Return the effective stretch of a belt: less the backlash, and limited to the peak-force stretch."""
-    half_backlash, peak = at(m, r.half_backlash, n), at(m, r.peak_stretch, n)
+    return effective(stretch, at(m, r.half_backlash, n), at(m, r.peak_stretch, n))
+
+
+@inlined
+def effective(stretch: float, half_backlash: float, peak: float) -> float:
+    """Return a stretch less the backlash, and limited to the peak-force stretch."""
     stretch -= min(max(stretch, -half_backlash), half_backlash)
     return min(max(stretch, -peak), peak)
 
@@ -218,10 +223,9 @@ def drive_of_axes(
     m: FloatArray, n: int, motor: float, q: float, stretch: float, spring: float, slip: float
 ) -> tuple[float, float]:
     """Return u + g(s) − s of a belt of straight axes, and its part of ẇ; both are those of q where it is slack."""
-    k = at(m, r.uneven, n) + stiffness_by_length(m, n, q)
-    squared = stretch * stretch
-    harder = (at(m, r.cubic, n) + at(m, r.quintic, n) * squared) * squared * stretch / at(m, r.motor_k, n)
-    force = k * (spring + abs(stretch) * at(m, r.landing, n) * slip) + harder
+    k, over = at(m, r.uneven, n) + stiffness_by_length(m, n, q), 1.0 / at(m, r.motor_k, n)
+    cubic, quintic = over * at(m, r.cubic, n), over * at(m, r.quintic, n)
+    force = belt_force(k, 0.0, spring, stretch, slip, at(m, r.landing, n), cubic, quintic)
     slack = abs(motor - q) < at(m, r.half_backlash, n)
     return q + (0.0 if slack else force), 0.0 if slack else slip
 

@@ -11,7 +11,8 @@ repeat along the axis, a spring, a pendulum. S is the drive and S_c the coupling
 by default S_c if there is a load. SI units; of an axis that turns, rad for m and N m for N.
 
 It has its own integrator because the motion restarts at every shot, the input may be a force (linear between samples,
-or held), and simulations come one at a time: lanes of eight printers with three motors would compute 24 axes for one.
+or held), the springs between the masses are not linear, and simulations come one at a time: lanes of eight printers
+with three motors would compute 24 axes for one, which takes 1.5 to 3 times as long. The two agree to 1e-13 mm.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels.friction import bristle_rate, sliding_level, strain_rate
-from models.printer.kernels.motors import belt_force, ripple
+from models.printer.kernels.motors import belt_force, effective, ripple
 from models.printer.kernels.vectors import compiled, inlined, plus
 
 NO_RIPPLES = np.empty((0, 3))
@@ -53,6 +54,7 @@ class AxisParameters(NamedTuple):
     landing: float = 0.0
     cubic: float = 0.0
     quintic: float = 0.0
+    peak_stretch: float = math.inf
     ripple: float = 0.0
     wave: float = 0.0
     phase: float = 0.0
@@ -81,13 +83,11 @@ State: TypeAlias = tuple[float, float, float, float, float, float]  # in this or
 @inlined
 def _spring(stretch: float, rate: float, k: float, c: float, play: bool, hardens: bool, p: AxisParameters) -> float:
     """Return the force of a spring and its damper; it may be the one that has play, or hardens."""
-    s, landing = stretch, 0.0
-    if play:
-        half = p.half_backlash
-        if half > 0.0 and abs(stretch) < half:
-            return 0.0
-        s, landing = stretch - math.copysign(half, stretch), p.landing
-    cubic, quintic = (p.cubic, p.quintic) if hardens else (0.0, 0.0)
+    half, landing = (p.half_backlash, p.landing) if play else (0.0, 0.0)
+    if abs(stretch) < half:
+        return 0.0
+    cubic, quintic, peak = (p.cubic, p.quintic, p.peak_stretch) if hardens else (0.0, 0.0, math.inf)
+    s = effective(stretch, half, peak)
     return belt_force(k, c, s, s, rate, landing, cubic, quintic)
 
 

@@ -135,6 +135,9 @@ def test_what_is_named_after_belts_is_of_the_spring_that_the_file_says() -> None
     assert min(np.std(bent[0] - plain), np.std(bent[1] - plain), np.std(bent[0] - bent[1])) > 0.01
     one = [moved(SPRUNG, slow, belt_hardening={"cubic_n_per_m3": 1e12, "at_drive": at}).position_mm for at in (0, 1)]
     np.testing.assert_array_equal(*one)  # it has one spring
+    soft = {"cubic_n_per_m3": -1e10, "at_drive": 1}
+    pulled = [np.abs(moved(own, 5 * loud, belt_hardening=soft).force).max() for own in (SPRUNG, LOADED)]
+    np.testing.assert_allclose(pulled, 2 / 3 * 2e5 * np.sqrt(2e5 / 3e10), rtol=1e-3)  # its peak force
 
 
 PROBES: dict[str, tuple[Machine, dict[str, Any]]] = {
@@ -312,10 +315,7 @@ def test_the_file_of_an_axis(tmp_path: Path) -> None:
         (("2.0e5", "0.0"), "nothing ties the axis to its commanded position"),
         (("damping_n", "load_mass_kg = 1.0\ndamping_n"), "belong together"),
         (("damping_n", "coupling_damping_n_s_per_m = 1.0\ndamping_n"), "needs axis.load_mass_kg and axis.coupling"),
-        (
-            ('name = "lift"', 'name = "lift"\n[effects.effector_mass]\nadded_kg = 0.1'),
-            "does not apply to one axis by itself",
-        ),
+        (('lift"', 'lift"\n[effects.effector_mass]\nadded_kg = 0.1'), "does not apply to one axis by itself"),
         (
             ('name = "lift"', 'name = "lift"\n[effects.coulomb_friction]\nforce_n = 1.0\npresliding_mm = 0.02'),
             "presliding_mm is only for printers",
