@@ -108,22 +108,23 @@ def _cell_by_cell(
 ) -> tuple[FloatArray, list[str]]:
     """Read cell by cell, for files with empty fields or mistakes: slow, but it locates each."""
     values = np.full((len(body), len(columns)), np.nan)
-    bad_cells, bad_rows = [], []
+    bad_cells, bad_rows, wrong = [], [], set[int]()
     for i, line in enumerate(body):
         fields = line.split(delimiter)
         if len(fields) != len(columns):
             bad_rows.append(f"row {row[i]} has {len(fields)}")
+            wrong.add(i)
             continue
         for j, field in enumerate(fields):
             try:
                 values[i, j] = float(field) if field.strip() else np.nan
             except ValueError:
                 bad_cells.append(f"row {row[i]}, column {columns[j]}: {field.strip()[:20]!r}")
+                wrong.add(i)
+    remedy = " The file breaks off there: copy it again, or record again." if wrong == {len(body) - 1} else ""
     points = " Write decimal points, not commas." if any(re.search(r"\d,\d", cell) for cell in bad_cells) else ""
-    problems = [f"A field must be a number or empty, but {_some(bad_cells)}.{points}"] if bad_cells else []
+    problems = [f"A field must be a number or empty, but {_some(bad_cells)}.{points}{remedy}"] if bad_cells else []
     if bad_rows:
-        cut_off = len(bad_rows) == 1 and len(body[-1].split(delimiter)) != len(columns)
-        remedy = " The file breaks off there: copy it again, or record again." if cut_off else ""
         problems.append(f"Every row needs {len(columns)} fields, as the header names, but {_some(bad_rows)}.{remedy}")
     return values, problems
 
