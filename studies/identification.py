@@ -42,7 +42,7 @@ from ffcomp.identification.resonance_tests import spectrum_of
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.vibration import read_vibration, read_vibrations
+from ffcomp.measurement.vibration import read_vibrations
 from ffcomp.shapers.calibration import fits, normalised, recommended, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
@@ -297,7 +297,7 @@ def modes_of(path: Path) -> dict[str, Any]:
 
 
 def shapers_of(path: Path) -> dict[str, Any]:
-    file = read_vibration(path)
+    (file,) = read_vibrations(path)
     assert isinstance(file, Resonances)
     spectrum = (file.frequency_hz, file.psd["xyz"]) if file.normalised else normalised(*file.power("xyz"))
     found = fits(spectrum)

@@ -17,7 +17,7 @@ from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import AXES
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.swept import HIGHEST_HZ, fitted_band, segment_powers, swept_band, swept_band_of_spectrum
-from ffcomp.measurement.vibration import read_vibration
+from ffcomp.measurement.vibration import read_vibrations
 from models.arrays import FloatArray
 
 FEWEST_LINES = 20  # of one file, in the band
@@ -74,7 +74,7 @@ def direction_of(axis: str | None) -> FloatArray | None:
 
 def spectrum_of(path: Path, stated_axis: str | None, band_hz: tuple[float, float]) -> Spectrum | BeltTest | str:
     """Read the one resonance test of a file; see `read_test`."""
-    test = read_vibration(path)
+    (test,) = read_vibrations(path)
     return no_test(test) or read_test(test, test.axis or stated_axis, band_hz)
 
 

@@ -48,21 +48,6 @@ _LOG = (
 )
 
 
-def read_vibration(path: str | Path) -> Capture | Resonances:
-    """Read one capture or the spectra of one test.
-
-    Raises
-    ------
-    MeasurementError
-        With every mistake; also for a file with several captures.
-    """
-    first, *others = read_vibrations(path)
-    if others:
-        names = ", ".join(each.name for each in (first, *others) if isinstance(each, Capture))
-        raise MeasurementError(str(path), [f"It holds {1 + len(others)} captures ({names}), and one is needed."])
-    return first
-
-
 def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
     """Read everything that a file holds.
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.recording import read_recording
-from ffcomp.measurement.vibration import read_vibration
+from ffcomp.measurement.vibration import read_vibrations
 from gcode.errors import GcodeError
 from gcode.reader import read_parts, read_program
 from models.errors import MachineFileError
@@ -155,8 +155,8 @@ SPECTRA = "freq,psd_x,psd_y,psd_z,psd_xyz\n" + "".join(f"{k}.0,1e3,2e3,{k}.5,4e3
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "run": (read_recording, RUN),
     "frf": (read_frfs, FRF),
-    "capture": (read_vibration, RAW),
-    "spectra": (read_vibration, SPECTRA),
+    "capture": (read_vibrations, RAW),
+    "spectra": (read_vibrations, SPECTRA),
 }
 ODD_CELLS = """nan inf -inf 1e400 1e308 -1e308 0 -5 x 1;2 \u0661 1_0 "1" # 1,2"""
 CELLS = st.sampled_from([*ODD_CELLS.split(), "", " 7 "])

@@ -19,7 +19,7 @@ from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.resonance_tests import BeltTest, spectrum_of
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.vibration import read_vibration
+from ffcomp.measurement.vibration import read_vibrations
 from ffcomp.shapers.calibration import fits, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
@@ -199,7 +199,7 @@ def test_real_printers_ring_where_the_firmware_shapes(name: str) -> None:
     found = spectrum_of(needed(REAL / name), None, (2.0, 400.0))
     assert isinstance(found, Spectrum)
     fit = fit_axis("y", [found])
-    file = read_vibration(REAL / name)
+    (file,) = read_vibrations(REAL / name)
     assert isinstance(file, Resonances)
     spectrum = (file.frequency_hz, file.psd["xyz"]) if file.normalised else normalised(*file.power("xyz"))
     shaper = fits(spectrum)["zv"]

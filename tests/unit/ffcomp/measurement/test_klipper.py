@@ -10,7 +10,7 @@ import pytest
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.sensors import G
-from ffcomp.measurement.vibration import read_captures, read_vibration
+from ffcomp.measurement.vibration import read_captures, read_vibrations
 
 LINES = np.arange(30) * 1.6
 PSD = 1e3 * np.exp(-(((LINES - 25) / 8) ** 2)) + 1
@@ -41,7 +41,7 @@ FOUR = "freq,psd_x,psd_y,psd_z,psd_xyz"
 )
 def test_the_dialects_of_spectra(tmp_path: Path, header: str, extra: dict[str, int], normalised: bool) -> None:
     path = spectra(tmp_path / "mine__calibration_data_y_10.000_-20.500_5.000_late.csv", header, **extra)  # type: ignore[arg-type]
-    found = read_vibration(path)
+    (found,) = read_vibrations(path)
     assert isinstance(found, Resonances)
     assert (found.normalised, found.axis, found.position_mm) == (normalised, "y", (10.0, -20.5, 5.0))
     assert list(found.psd) == ["x", "y", "z", "xyz"]
@@ -84,7 +84,7 @@ def test_real_spectra(data: Path) -> None:
     paths = sorted((data / "vibration" / "klipper_resonances_bassco").glob("*.csv"))
     assert len(paths) == 15
     for path in paths:
-        found = read_vibration(path)
+        (found,) = read_vibrations(path)
         assert isinstance(found, Resonances)
         assert found.normalised == ("calibration" in path.name) and found.axis == path.name.split("_20")[0][-1]
         np.testing.assert_allclose(found.psd["x"] + found.psd["y"] + found.psd["z"], found.psd["xyz"], rtol=2e-3)

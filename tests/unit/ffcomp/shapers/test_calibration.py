@@ -14,7 +14,7 @@ from ffcomp import shapers
 from ffcomp.comparison.methods import NAMES as COMPARED
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.vibration import read_vibration
+from ffcomp.measurement.vibration import read_vibrations
 from ffcomp.shapers import calibration as calibrate
 from models.arrays import constant
 from models.file import load_machine
@@ -32,7 +32,7 @@ CHOSEN = re.compile(r"(\w+)\((\d+\.\d)\)")
 def real(name: str) -> tuple[Resonances, dict[str, float], FloatArray]:
     """The file; the frequency chosen for each kind, in the order of the columns; those columns (k, kinds)."""
     path = needed(FOLDER / name)
-    found = read_vibration(path)
+    (found,) = read_vibrations(path)
     assert isinstance(found, Resonances)
     head, *rows = path.read_text().splitlines()
     chosen = {kind: float(hz) for kind, hz in CHOSEN.findall(head)}
