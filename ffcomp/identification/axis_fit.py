@@ -27,7 +27,6 @@ FINAL = FitSettings(rounds=5)
 BLOCKS = 60  # of a run: residuals are alike within a block, and independent between blocks
 NOISE = 1e-6  # of a signal: less is not resolved
 LOWEST, HIGHEST = 1e-3, 1e3  # times the file's value
-WEAK = 0.1  # relative standard deviation: a number beyond it is called weak
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +89,6 @@ def fit_axis(
     result = fitted_axis(start, runs, known)
     hashes = [hash_of(path) for path in data]
     origin = Origin(Path(start.path), name, hashes, date.today().isoformat())
-    weak = [key for key, e in result.estimates.items() if e.relative_sd > WEAK and key != OFFSET]
     kept = kept_of(start, known)
     return OneAxisFit(
         start=start,
@@ -99,7 +97,6 @@ def fit_axis(
         text=origin.text_of(result.estimates, "fit", nrms=result.after) if start.path else "",
         advice=[
             *result.doubt,
-            *(f"{key} is known to ±{100 * result.estimates[key].relative_sd:.0f} % only." for key in weak),
             *(f"{key} is unchanged: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
         ],
         result=result,

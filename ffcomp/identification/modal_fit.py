@@ -29,7 +29,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.axis_spectra import COARSE, Datum, Response, Spectrum
+from ffcomp.identification.axis_spectra import COARSE, Datum, Spectrum
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
@@ -54,7 +54,6 @@ PEAK_BAND = 1.45  # the band around a peak that is fitted by itself, a factor to
 FEWEST_AT_PEAK = 12  # lines
 CLEAR = 0.05  # relative standard uncertainty of a frequency
 SHARP = 2.0  # standard uncertainties that a share must be away from zero
-WEAK_DAMPING = 0.25  # relative standard uncertainty: beyond it the user is warned
 POOR_FIT = 0.35  # model error: beyond it the user is warned
 APART = 0.05  # relative distance of frequencies: beyond it two files disagree
 
@@ -190,7 +189,7 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     fitted = tuple(datum.model(_modes(accepted), nuisances) for datum, nuisances in own)
     errors = tuple(accepted.errors.tolist())
     doubt = accepted.doubt(f"the modes of {name}")
-    advice = (*doubt, *disagreement, *_weak(name, modes, errors), *remarks, *_about_belts(name, data))
+    advice = (*doubt, *disagreement, *_poor(name, errors), *remarks)
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
 
 
@@ -346,26 +345,10 @@ def _main_frequency(data: Sequence[Datum], found: _Fit) -> float:
     return float(_main(fit(problem, begin, errors=np.full(len(data), COARSE)))[0])
 
 
-def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list[str]:
-    advice = [
-        f"The damping of {name} at {mode.frequency_hz.value:.0f} Hz is known to "
-        f"{100 * mode.damping_ratio.relative_sd:.0f} % only: measure it again, excited harder or longer."
-        for mode in modes
-        if mode.damping_ratio.relative_sd > WEAK_DAMPING
-    ]
-    if max(errors) > POOR_FIT:
-        advice.append(
-            f"The modes describe {name} poorly, to {100 * max(errors):.0f} % of the measurement: it has more modes "
-            "than a machine file holds, or it rattles. Look at it with --figure."
-        )
-    return advice
-
-
-def _about_belts(name: str, data: Sequence[Datum]) -> list[str]:
-    """Say that the belts' share of the damping stays open, where there are responses with a phase."""
-    if not any(isinstance(datum, Response) for datum in data):
+def _poor(name: str, errors: Sequence[float]) -> list[str]:
+    if max(errors) <= POOR_FIT:
         return []
     return [
-        f"How much of the damping of {name} its belts hold (belt_damping_share) is not fitted, for below the resonance "
-        "it looks like a delay. ffcomp diagnose finds it in runs with their commands, as the effect belt_damping."
+        f"The modes describe {name} poorly, to {100 * max(errors):.0f} % of the measurement: it has more modes than a "
+        "machine file holds, or it rattles. Look at it with --figure."
     ]
