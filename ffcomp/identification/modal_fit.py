@@ -195,8 +195,8 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
 
 def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
     """Fit one mode and two, and return the accepted fit, and why."""
-    peaks = _peaks(data)
-    starts = [*peaks, *_even(data)]
+    peaks, (low, high) = _peaks(data), _band(data)
+    starts = [*peaks, *(np.log([[f, START_DAMPING]]) for f in np.geomspace(1.2 * low, 0.95 * high, STARTS))]
     one = _refined(_searched(data, starts, 1))
     firsts = [np.log(_modes(one)[:, :2]), *peaks]
     two = _refined(_searched(data, [np.vstack([first, second]) for first in firsts for second in starts], 2))
@@ -238,14 +238,8 @@ def _band(data: Sequence[Datum]) -> tuple[float, float]:
     return min(float(d.frequency_hz[0]) for d in data), max(float(d.frequency_hz[-1]) for d in data)
 
 
-def _even(data: Sequence[Datum]) -> list[FloatArray]:
-    """Return starts (1, 2), ln f and ln ζ, evenly over the band."""
-    low, high = _band(data)
-    return [np.log([[f, START_DAMPING]]) for f in np.geomspace(1.2 * low, 0.95 * high, STARTS)]
-
-
 def _peaks(data: Sequence[Datum]) -> list[FloatArray]:
-    """Return starts (1, 2) where the first datum stands highest; half levelled, for noise rises when levelled."""
+    """Return starts (1, 2), ln f and ln ζ, where the first datum stands highest; half levelled, as noise then rises."""
     answer = gaussian_filter1d(np.log(np.abs(data[0].value) * np.sqrt(data[0].level) + 1e-300), 1.0)
     tops, _ = find_peaks(answer)
     return [np.log([[data[0].frequency_hz[at], START_DAMPING]]) for at in tops[np.argsort(-answer[tops])][:PEAKS]]

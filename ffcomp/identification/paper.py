@@ -344,14 +344,11 @@ class _Rational(EstimationProblem):
             above, below = self.parts(theta)
             yield _real(above / below)
 
-    def _columns(self, of_numerator: ComplexArray, of_denominator: ComplexArray) -> ComplexArray:
-        """Return (k, p) from the factors (k,) of the powers of x in numerator and denominator."""
-        return np.hstack([self.above * of_numerator[:, None], self.below[:, :-1] * of_denominator[:, None]])
-
     def linear_step(self, below: ComplexArray) -> FloatArray:
         """Minimise |w (N − H D)/D_before|: the Sanathanan-Koerner step."""
         weight = 1 / (self.deviations(np.zeros(1))[: len(below)] * np.abs(below))
-        columns = _real(self._columns(weight.astype(np.complex128), -weight * self.value))
+        of_denominator = -(weight * self.value)[:, None] * self.below[:, :-1]
+        columns = _real(np.hstack([weight[:, None] * self.above, of_denominator]))
         target = _real(weight * self.value * self.powers[:, self.na])
         norm = np.linalg.norm(columns, axis=0)
         norm[norm == 0] = 1.0
