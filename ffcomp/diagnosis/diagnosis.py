@@ -38,6 +38,7 @@ from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.stages import Progress, Stage
+from models.arrays import FloatArray
 
 BUDGET_STEPS = 2.4e8  # integration steps of a printer, after which nothing more is tried: 90 s of CPU in 2026
 LOOSENED = 5.0  # times the uncertainties, in the fit of the file's numbers that may all be wrong
@@ -136,19 +137,19 @@ def diagnose(
     trace : collects every fit and decision.
     """
     budget = BUDGET_STEPS if budget is None else budget
-    asked = _Asked(settings, Trace() if trace is None else trace, progress)
+    trace = Trace() if trace is None else trace
     problem.work.begin(budget)
     problem = problem.compared()
-    result = _diagnosed(problem, noise_floor(problem), asked)
+    result = _diagnosed(problem, noise_floor(problem), settings, trace, progress, problem.least_density)
     guessed = not result.noise.from_repeats and result.fault is None
     if guessed and result.floor_is_wrong:
         progress("the residual is below the guessed noise: it becomes the noise, and the search starts again")
         problem.work.begin(budget)
-        same = result.estimation.problem
-        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), asked, known=False)
+        noise = scaled(result.noise, mean_square(result.final))
+        result = _diagnosed(problem, noise, settings, trace, progress, {})
     concluded = replace(_concluded(result), cut_short=problem.work.cut)
     names = concluded.best.names if concluded.best is not None else ()
-    asked.trace.add("verdict", names, left=concluded.final.discrepancy, outcome=concluded.finding)
+    trace.add("verdict", names, left=concluded.final.discrepancy, outcome=concluded.finding)
     return concluded
 
 
@@ -174,24 +175,19 @@ class _Searched:
     base: Fit  # of the machine's parameters alone, there
 
 
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """How a search is done, and where it reports to."""
-
-    settings: SearchSettings
-    trace: Trace
-    progress: Progress
-
-
-def _diagnosed(problem: Problem, noise: NoiseFloor, asked: _Asked, known: bool = True) -> Diagnosis:
-    settings, progress = asked.settings, asked.progress
+def _diagnosed(
+    problem: Problem,
+    noise: NoiseFloor,
+    settings: SearchSettings,
+    trace: Trace,
+    progress: Progress,
+    least_density: Mapping[str, float | FloatArray],
+) -> Diagnosis:
     progress(Stage(1, "estimating the noise"))
     if not (noise.from_repeats or noise.of_sensors):
         progress("no repeats: the noise floor is taken from above the model's band")
-    floor = at_least(noise, problem.observations, problem.band_hz, problem.least_density if known else {})
-    estimation = estimation_problem(
-        problem, whitener(problem.observations, floor, problem.band_hz), settings, asked.trace
-    )
+    floor = at_least(noise, problem.observations, problem.band_hz, least_density)
+    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz), settings, trace)
     chance = settings.chance_sd * _spread(estimation) if noise.from_repeats else 0.0
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
     least = max(settings.exists, chance) if noise.from_repeats else estimation.tolerance
@@ -294,23 +290,19 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     if result.noise.from_repeats and result.floor_is_wrong:
         return replace(result, verdict="unknown", named=None, finding="cannot_tell")
     if result.verdict == "effects":
-        return replace(result, finding="effects", file_off=_file_off(result), others=_others(result))
+        others = other_motions(result.estimation, result.base, result.final)
+        return replace(result, finding="effects", file_off=_file_off(result), others=others)
     if result.verdict == "none":
         return _nothing(result)
-    base, best = result.base, result.best
-    explained = best is not None and _explained(base, best) > 1 - result.estimation.settings.left
+    explained = max(result.final.discrepancy, 0.0) < result.estimation.settings.left * result.base.discrepancy
     # where an effect explains the gap, though not surely, one axis acts on one signal alone
-    fits = [] if explained else [base] if best is None else [base, best.fit]
-    fault = odd_signal(result.estimation, fits)
+    fault = odd_signal(result.estimation, [] if explained else [result.base, result.final])
     if fault is not None:
         return replace(result, finding="recording", fault=fault, dominant=None)
     if result.dominant is not None:
-        return replace(result, finding="dominant", others=_others(result))
+        others = other_motions(result.estimation, result.base, result.final)
+        return replace(result, finding="dominant", others=others)
     return replace(result, finding="unproven" if explained else "unexplained", file_off=_file_off(result))
-
-
-def _others(result: Diagnosis) -> Sequence[HeldOut]:
-    return [] if result.best is None else other_motions(result.estimation, result.base, result.best.fit)
 
 
 def _nothing(result: Diagnosis) -> Diagnosis:
@@ -319,11 +311,6 @@ def _nothing(result: Diagnosis) -> Diagnosis:
     if noise_share(estimation.whiten, result.noise) > estimation.settings.loud_noise:
         return replace(result, verdict="unknown", finding="cannot_tell")
     return replace(result, held_out=hold_out(estimation, result.base, result.base))
-
-
-def _explained(base: Fit, best: Hypothesis) -> float:
-    """Return the share of the discrepancy that a hypothesis explains beyond retuning."""
-    return 1 - max(best.discrepancy, 0.0) / base.discrepancy if base.discrepancy > 0 else 0.0
 
 
 def _file_off(result: Diagnosis) -> Fit | None:

@@ -97,12 +97,10 @@ def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor 
 
 
 def _excess(estimation: EstimationProblem, fit: Fit) -> dict[str, float]:
-    excess: dict[str, float] = {}
-    for o, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
-        parts = fit.residual[rows].reshape(2, len(o.signals), -1)
-        for k, name in enumerate(o.signals):
-            excess[name] = excess.get(name, 0.0) + float(np.sum(parts[:, k] ** 2 - 1))
-    return excess
+    """Return by how much |r|² of each signal stands above noise."""
+    whiten = estimation.whiten
+    names = sorted({s for o in whiten.observations for s in o.signals})
+    return {name: float(np.sum(fit.residual[whiten.of_signal(name)] ** 2 - 1)) for name in names}
 
 
 def _share(estimation: EstimationProblem, fit: Fit) -> tuple[str, float]:
