@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -83,17 +84,38 @@ def squares_by_motion(estimation: EstimationProblem, residual: FloatArray) -> di
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """One candidate with one of its shapes, by its first-order signature."""
+    """One candidate with one of its shapes, by its first-order signature next to a fit without it."""
 
+    base: Fit
     candidate: Candidate
     shape: Shape
     signature: FloatArray  # (rows, a) of the simulation by each amplitude in units of its prior
-    estimate: FloatArray  # (a,) linear estimate, in the same units
-    gain: float  # of −2 ln likelihood, to first order
+    step: FloatArray  # of the machine's parameters and the amplitudes together, to first order
     evidence: float  # change of −2 ln Z, to first order: negative is better
     strength: float  # standard deviations by which an effect of a usual size stands out, retuning allowed
-    projected: FloatArray  # (rows,) the best combination of the signature, less what retuning can do, length one
     visible: bool = False  # whether these recordings would show a usual size
+
+    @property
+    def estimate(self) -> FloatArray:
+        """(a,) the amplitudes, in units of their priors."""
+        return self.step[len(self.base.z) :]
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Order the shapes of one candidate: a ripple half a turn off explains as much, by an amplitude below zero."""
+        sizes = zip(self.candidate.amplitudes, self.estimate, strict=True)
+        return any(not n.low <= n.start + n.sd * z <= n.high for n, z in sizes), self.evidence
+
+    @cached_property
+    def projected(self) -> FloatArray:
+        """(rows,) the best combination of the signature, less what retuning can do, length one."""
+        jacobian, own = self.base.jacobian, self.step[: len(self.base.z)]
+        explained = self.signature @ self.estimate
+        # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
+        retuned = solved(self.base.information, jacobian.T @ (explained + jacobian @ own))
+        left = explained + jacobian @ (own - retuned)
+        length = float(np.linalg.norm(left))
+        return np.asarray(left / length if length else left)
 
 
 def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
@@ -142,32 +164,12 @@ Tried = tuple[Candidate, Shape, FloatArray]
 
 
 def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
-    best: dict[str, _Scored] = {}
-    for candidate, shape, signature in tries:
-        one = _scored(base, candidate, shape, signature)
-        if candidate.name not in best or one.rank < best[candidate.name].rank:
-            best[candidate.name] = one
-    return {name: _screened(base, one) for name, one in best.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class _Scored:
-    """What products with the signature tell, without another vector of its length."""
-
-    candidate: Candidate
-    shape: Shape
-    signature: FloatArray
-    step: FloatArray  # of the machine's parameters and the amplitudes together
-    gain: float
-    evidence: float
-    strength: float
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """Order the shapes of one candidate: a ripple half a turn off explains as much, by an amplitude below zero."""
-        estimate = self.step[-len(self.candidate.amplitudes) :]
-        sizes = zip(self.candidate.amplitudes, estimate, strict=True)
-        return any(not n.low <= n.start + n.sd * z <= n.high for n, z in sizes), self.evidence
+    best: dict[str, Screened] = {}
+    for tried in tries:
+        one = _scored(base, *tried)
+        if one.candidate.name not in best or one.rank < best[one.candidate.name].rank:
+            best[one.candidate.name] = one
+    return best
 
 
 def _signatures(estimation: EstimationProblem, base: Fit, tries: Sequence[tuple[Candidate, Shape]]) -> Iterator[Tried]:
@@ -187,26 +189,14 @@ def _probe(candidate: Candidate, amplitude: str, shape: Shape) -> dict[str, floa
     return {**rest, amplitude: candidate.probe[amplitude], **shape}
 
 
-def _scored(base: Fit, candidate: Candidate, shape: Shape, signature: FloatArray) -> _Scored:
+def _scored(base: Fit, candidate: Candidate, shape: Shape, signature: FloatArray) -> Screened:
     cross = base.jacobian.T @ signature
     added = np.eye(signature.shape[1]) + signature.T @ signature
     schur = added - cross.T @ solved(base.information, cross)
     step, gain = _joint_step(base, signature, cross, added)
     evidence = -gain + float(np.linalg.slogdet(schur)[1])
     strength = float(np.sqrt(max(np.trace(schur) - len(schur), 0.0)))
-    return _Scored(candidate, shape, signature, step, gain, evidence, strength)
-
-
-def _screened(base: Fit, one: _Scored) -> Screened:
-    """Complete what is kept of a candidate."""
-    step, estimate = one.step[: len(base.z)], one.step[len(base.z) :]
-    explained = one.signature @ estimate
-    # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
-    retuned = base.jacobian.T @ (explained + base.jacobian @ step)
-    left = explained + base.jacobian @ (step - solved(base.information, retuned))
-    length = float(np.linalg.norm(left))
-    projected = np.asarray(left / length if length else left)
-    return Screened(one.candidate, one.shape, one.signature, estimate, one.gain, one.evidence, one.strength, projected)
+    return Screened(base, candidate, shape, signature, step, evidence, strength)
 
 
 def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: FloatArray) -> tuple[FloatArray, float]:
