@@ -308,7 +308,7 @@ def _concluded(result: Diagnosis) -> Diagnosis:
 def _nothing(result: Diagnosis) -> Diagnosis:
     """Say `none` only where noise leaves room to see something; test what was retuned where it was not fitted."""
     estimation = result.estimation
-    if noise_share(estimation.whiten, result.noise) > estimation.settings.loud_noise:
+    if noise_share(estimation.whiten, estimation.measured) > estimation.settings.loud_noise:
         return replace(result, verdict="unknown", finding="cannot_tell")
     return replace(result, held_out=hold_out(estimation, result.base, result.base))
 

@@ -152,12 +152,12 @@ def at_least(
     held = {name: np.maximum(x, (least or {}).get(name, 0.0)) for name, x in floor.density.items()}
     if any(bool((held[name] > x).any()) for name, x in floor.density.items()):
         floor = replace(floor, density=held)
-    powers = _powers(whitener(observations, floor, band_hz), floor)
-    factors = {  # positions are nearly the command: no share of them says how exact a simulation is
-        name: SIMULATION_ERROR**2 * signal / max(noise, 1e-300)
-        for name, (signal, noise) in powers.items()
-        if name[:3] == "acc"
-    }
+    whiten = whitener(observations, floor, band_hz)
+    measured = whiten([o.measured for o in observations])
+    parts = {name: whiten.of_signal(name) for name in floor.density if name[:3] == "acc"}
+    # positions are nearly the command: no share of them says how exact a simulation is
+    shares = {name: max(noise_share(whiten, measured, part), 1e-150) for name, part in parts.items()}
+    factors = {name: (SIMULATION_ERROR / share) ** 2 for name, share in shares.items()}
     if max(factors.values(), default=0.0) <= 1.0:
         return floor
     raised = {name: density * max(1.0, factors.get(name, 0.0)) for name, density in floor.density.items()}
@@ -181,22 +181,10 @@ def raised_to_residual(
     return replace(floor, density=density)
 
 
-def noise_share(whiten: Whitener, floor: NoiseFloor) -> float:
-    """Return the rms of the noise inside the band, of the signals'."""
-    powers = np.array(list(_powers(whiten, floor).values()))
-    signal, noise = powers.sum(axis=0)
-    return float(np.sqrt(noise / signal))
-
-
-def _powers(whiten: Whitener, floor: NoiseFloor) -> dict[str, tuple[float, float]]:
-    """Return for each signal the power inside the band of what was measured, and of its noise."""
-    powers: dict[str, tuple[float, float]] = {}
-    for o in whiten.observations:
-        both = zip(whiten.band_power(o, o.measured).tolist(), whiten.noise_power(o, floor).tolist(), strict=True)
-        for name, (signal, noise) in zip(o.signals, both, strict=True):
-            before = powers.get(name, (0.0, 0.0))
-            powers[name] = before[0] + signal, before[1] + noise
-    return powers
+def noise_share(whiten: Whitener, measured: FloatArray, part: slice | NDArray[np.bool_] = slice(None)) -> float:
+    """Return the rms of the noise inside the band, of the signals'; `measured` : (rows,) whitened."""
+    scale = whiten.scale[part]
+    return float(np.linalg.norm(scale)) / max(float(np.linalg.norm(scale * measured[part])), 1e-300)
 
 
 def _column(observation: Observation, signal: str) -> FloatArray:

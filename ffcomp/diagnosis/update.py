@@ -228,7 +228,8 @@ def update(
         )
     progress(Stage(2, f"fitting {len(problem.parameters)} numbers to {len(recordings)} layers"))
     floor = at_least(noise_floor(problem), problem.observations, problem.band_hz, problem.least_density)
-    estimation = estimation_problem(problem, whiten := whitener(problem.observations, floor, problem.band_hz))
+    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
+    share = noise_share(estimation.whiten, estimation.measured)
     fitted = fit(estimation, problem.parameters, np.zeros(len(problem.parameters)), iterations=ITERATIONS)
     simulated = problem.simulate(fitted.values)
     errors = [o.measured - y for o, y in zip(problem.observations, simulated, strict=True)]
@@ -236,7 +237,6 @@ def update(
     estimation = estimation_problem(problem, whitener(problem.observations, raised, problem.band_hz))
     fitted = fit(estimation, problem.parameters, fitted.z, iterations=ITERATIONS)
     progress(Stage(3, "leaving out one layer after the other"))
-    share = noise_share(whiten, floor)
     held_out = (*_held_out(estimation, fitted), share)
     of_machine = [i for i, n in enumerate(fitted.parameters) if not belongs_to_recording(n.name)]
     innovation = _innovation(fitted, of_machine)
