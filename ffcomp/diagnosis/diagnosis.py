@@ -20,12 +20,13 @@ from ffcomp.diagnosis.acceptance import rejections
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
     QUICK_GAIN,
+    continue_fit,
     excerpt_of,
     fit_in_excerpt,
     fit_in_whole,
     linearised,
 )
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, by_deviance, estimation_problem, fit, intervals_of, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, hold_out, other_motions
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, error_left, likeliest
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
@@ -259,7 +260,7 @@ def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progre
 def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Progress) -> Diagnosis:
     """Put the best hypothesis to the acceptance tests."""
     estimation, tried = none.estimation, searched.selection.tried
-    intervals = intervals_of(estimation, best.fit)
+    intervals = _proven_intervals(none, best, progress)
     held_out = hold_out(estimation, none.base, best.fit)
     failed = tuple(rejections(estimation, none.base, best, held_out, intervals))
     estimation.trace.add("accept", best.names, outcome="refused" if failed else "kept", reason="; ".join(failed))
@@ -281,6 +282,17 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         rejections=failed,
         intervals=intervals,
     )
+
+
+def _proven_intervals(none: Diagnosis, best: Hypothesis, progress: Progress) -> dict[str, Estimate]:
+    """Return the intervals, narrowed where they include no effect although the fit without it is far worse."""
+    intervals = intervals_of(none.estimation, best.fit)
+    for c in best.effects:
+        if superfluous(c, intervals):
+            rest = best.without(c, none.estimation.problem.parameters)
+            without = continue_fit(none.estimation, rest, progress).fit if rest.effects else none.base
+            intervals = by_deviance(c, best.fit, without, intervals)
+    return intervals
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:

@@ -358,10 +358,25 @@ def deviations(estimation: EstimationProblem, fitted: Fit) -> FloatArray:
     each. How far few motions scatter is itself known to Student's t only (Bell & McCaffrey, Survey Methodology 28,
     2002).
     """
-    sd = np.sqrt(np.diag(fitted.covariance(estimation.blocks)))
-    if (motions := len(np.unique(estimation.motions))) < 2:
-        return sd
-    return np.maximum(sd, student_share(motions - 1) * np.sqrt(np.diag(fitted.covariance(estimation.motions))))
+    by_blocks, by_motions = (np.diag(fitted.covariance(x)) for x in (estimation.blocks, estimation.motions))
+    if (freedom := len(np.unique(estimation.motions)) - 1) < 1:
+        return np.sqrt(by_blocks)
+    return np.sqrt(np.maximum(by_blocks, student_share(freedom) ** 2 * freedom / (freedom + 1) * by_motions))
+
+
+def by_deviance(c: Candidate, fitted: Fit, without: Fit, intervals: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Return the intervals with those of an effect's amplitudes no wider than the fit without the effect allows.
+
+    Where few motions scatter, or an effect is far from linear, an interval may include no effect although that explains
+    far less. The root of the deviance says how many standard deviations away it is (as profile likelihoods do: Venzon &
+    Moolgavkar, Applied Statistics 37, 1988).
+    """
+    deviance = (without.cost - fitted.cost) / fitted.overdispersion
+    z = dict(zip((n.name for n in fitted.parameters), fitted.z, strict=True))
+    spread = float(np.linalg.norm([z[a.name] for a in c.amplitudes])) / np.sqrt(max(deviance, 1e-12))
+    return {**intervals} | {
+        a.name: _interval(a, intervals[a.name].value, min(a.sd * spread, intervals[a.name].sd)) for a in c.amplitudes
+    }
 
 
 def _interval(n: Parameter, value: float, spread: float) -> Estimate:
