@@ -17,6 +17,7 @@ from models.arrays import FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
 
+RADII, DIRECTIONS = 6, 24  # of the grid; the centre is the first radius
 FREQUENCIES_HZ = np.geomspace(1.0, 300.0, 120)
 ROUNDING_RTOL = 1e-9  # relative to a norm: less than this is rounding
 
@@ -47,7 +48,7 @@ class PhysicsChecks:
 
 def check_physics(machine: Machine) -> PhysicsChecks:
     """Check the model on a polar grid over the bed."""
-    xy, model = bed(machine), delta_vibration(machine)
+    xy, model = machine.kinematics.rings(RADII - 1, DIRECTIONS), delta_vibration(machine)
     s = np.asarray(2j * np.pi * FREQUENCIES_HZ, dtype=np.complex128)
     y = np.stack([model.receptance(position, s) for position in xy])
     growth = _smallest(-machine.vibration.poles(xy).real.max(axis=1), xy)
@@ -57,7 +58,7 @@ def check_physics(machine: Machine) -> PhysicsChecks:
     return PhysicsChecks(replace(growth, value=-growth.value), _smallest(np.asarray(dissipated), xy))
 
 
-def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
+def unstable_positions(machine: Machine, radii: int = RADII, directions: int = DIRECTIONS) -> FloatArray:
     """Find the positions, on a polar grid over the bed, with a vibration that does not decay.
 
     The pole at zero of a free axis does not count.
@@ -66,16 +67,11 @@ def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -
     -------
     (k, 2) mm, columns X Y; empty for a stable machine.
     """
-    everywhere = machine.vibration.position_dependent
-    xy = bed(machine, radii, directions) if everywhere else np.array([*machine.kinematics.sample_positions.values()])
+    kinematics, everywhere = machine.kinematics, machine.vibration.position_dependent
+    xy = kinematics.rings(radii - 1, directions) if everywhere else np.array([*kinematics.sample_positions.values()])
     poles = machine.vibration.poles(xy)
     vibrates = np.abs(poles) > ROUNDING_RTOL * np.abs(poles).max(axis=1, keepdims=True)
     return xy[np.any(vibrates & (poles.real >= 0), axis=1)]
-
-
-def bed(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
-    """Return the centre and rings around it out to the print radius : (n, 2) mm, columns X Y."""
-    return machine.kinematics.rings(radii - 1, directions)
 
 
 def _smallest(values: FloatArray, xy: FloatArray) -> Extreme:

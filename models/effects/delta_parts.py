@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from models.arrays import constant
 from models.effects.effect import EACH, Effect, Values, amplitude
-from models.kinds import delta_vibration, with_parts
+from models.kinds import delta_vibration
 from models.machine import Machine
+from models.vibration.base import number_at, with_numbers
 
-_part = partial(Effect, kind="parameter", of=("carriages",))
-
-
-def _with_effector(machine: Machine, **changes: Any) -> Machine:
-    return with_parts(machine, effector=replace(delta_vibration(machine).effector, **changes))
+_part = partial(Effect, of=("carriages",))
 
 
-def _heavier_holder(machine: Machine, values: Values) -> Machine:
-    nozzle_kg = delta_vibration(machine).effector.nozzle_mass_kg + float(values["added_kg"])
-    return _with_effector(machine, nozzle_mass_kg=nozzle_kg)
+Law = Callable[[Any, Values], Any]  # from a number of the file and the effect's values to the number that holds
+
+
+def _with(laws: Mapping[str, Law]) -> Callable[[Machine, Values], Machine]:
+    """Return the fold that changes numbers of a delta, each by its law."""
+
+    def fold(machine: Machine, values: Values) -> Machine:
+        model = delta_vibration(machine)
+        changed = {name: law(number_at(model, name), values) for name, law in laws.items()}
+        return replace(machine, vibration=with_numbers(model, changed))
+
+    return fold
 
 
 EFFECTOR_MASS = _part(
@@ -35,15 +42,10 @@ EFFECTOR_MASS = _part(
         "belt_stiffness": "Two places on the bed: stiffness shifts all modes by the same factor, mass does not.",
         "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder raises it.",
     },
-    fold=_heavier_holder,
+    fold=_with({"effector.nozzle_mass_kg": lambda mass, v: mass + float(v["added_kg"])}),
     remedy="Weigh the effector with everything that moves with it (fan, cables, camera) and write it in the file.",
     corrects_file=True,
 )
-
-
-def _off_centre(machine: Machine, values: Values) -> Machine:
-    centre = delta_vibration(machine).effector.center_of_mass_mm + values["offset_mm"]
-    return _with_effector(machine, center_of_mass_mm=constant(centre))
 
 
 CENTER_OF_MASS = _part(
@@ -57,18 +59,10 @@ CENTER_OF_MASS = _part(
     parameters=(amplitude("offset_mm", "Δδ, along x, y, z", (-200, 200), (-20, 20), 1.0, "vector3"),),
     in_data="With force_map 'paper': towers differ. With 'virtual_work': nothing at all.",
     confounded_with={"force_map": "Which tower differs: a change of map shows with a centred mass too."},
-    fold=_off_centre,
+    fold=_with({"effector.center_of_mass_mm": lambda centre, v: constant(centre + v["offset_mm"])}),
     remedy="Find the effector's balance point, or move parts on one side nearer to the middle.",
     corrects_file=True,
 )
-
-
-def _other_mount(machine: Machine, values: Values) -> Machine:
-    effector = delta_vibration(machine).effector
-    stiffness = effector.extruder_stiffness_n_per_m * (1 + values["relative_stiffness_change"])
-    damping = effector.extruder_damping_n_s_per_m * (1 + values["relative_damping_change"])
-    mount = {"extruder_stiffness_n_per_m": constant(stiffness), "extruder_damping_n_s_per_m": constant(damping)}
-    return _with_effector(machine, **mount)
 
 
 EXTRUDER_MOUNT = _part(
@@ -84,16 +78,15 @@ EXTRUDER_MOUNT = _part(
     confounded_with={
         "effector.extruder_mass_kg": "Antiresonance and mode together: mass shifts both, stiffness only one."
     },
-    fold=_other_mount,
+    fold=_with(
+        {
+            "effector.extruder_stiffness_n_per_m": lambda k, v: constant(k * (1 + v["relative_stiffness_change"])),
+            "effector.extruder_damping_n_s_per_m": lambda b, v: constant(b * (1 + v["relative_damping_change"])),
+        }
+    ),
     remedy="Tighten the extruder's mount, its screws and dampers; print a stiffer bracket.",
     corrects_file=True,
 )
-
-
-def _mass_along_arms(machine: Machine, values: Values) -> Machine:
-    carriage = delta_vibration(machine).carriage
-    share = carriage.arm_mass_share_at_ends - float(values["share_along"])
-    return with_parts(machine, carriage=replace(carriage, arm_mass_share_at_ends=share))
 
 
 ARM_INERTIA = _part(
@@ -112,7 +105,7 @@ ARM_INERTIA = _part(
         "effector_mass": "Up and down at the centre: mass on the holder lowers that too, mass along the arms does not.",
         "belt_stiffness": "Up and down at the centre: there only stiffer belts raise the resonance.",
     },
-    fold=_mass_along_arms,
+    fold=_with({"carriage.arm_mass_share_at_ends": lambda share, v: share - float(v["share_along"])}),
     remedy="Weigh an arm's tube and its ends apart, and write the ends' share in the file.",
     corrects_file=True,
 )
@@ -140,8 +133,9 @@ ARM_GEOMETRY = _part(
 
 
 def _other_map(machine: Machine, values: Values) -> Machine:
-    by_work = delta_vibration(machine).effector.force_map == "virtual_work"
-    return _with_effector(machine, force_map="paper" if by_work else "virtual_work")
+    model = delta_vibration(machine)
+    other = "paper" if model.effector.force_map == "virtual_work" else "virtual_work"
+    return replace(machine, vibration=with_numbers(model, {"effector.force_map": other}))
 
 
 FORCE_MAP = _part(

@@ -28,7 +28,6 @@ def _with_belts(machine: Machine, values: Values) -> Machine:
 BELT_STIFFNESS = _drive(
     name="belt_stiffness",
     title="A drive stiffer or softer than in the file",
-    kind="parameter",
     physics="Tension, wear and temperature change a belt's stiffness.",
     equation="k → k (1 + r)",
     parameters=(
@@ -58,7 +57,6 @@ BELT_STIFFNESS = _drive(
 BELT_DAMPING = _drive(
     name="belt_damping",
     title="Damping in the drive",
-    kind="parameter",
     physics=(
         "Part of an axis' damping is in its belts, between motor and carriage, and not in the guides, between carriage "
         "and frame. The resonance has the same height, but with damping in the belts the carriage lags less at speed."
@@ -92,7 +90,6 @@ BELT_DAMPING = _drive(
 BELT_POSITION_STIFFNESS = _drive(
     name="belt_position_stiffness",
     title="Belt stiffness that depends on the free length",
-    kind="force",
     physics="The free length of the belt between motor and carriage changes as the carriage travels.",
     equation="k(q) = k / (1 − r (q − q_c)), 4 k at most",
     parameters=(
@@ -125,7 +122,6 @@ def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray)
 BELT_HARDENING = _drive(
     name="belt_hardening",
     title="A drive that stiffens or softens as it stretches",
-    kind="force",
     physics="Teeth settle and fibres straighten, so the belt's force is not quite proportional to its stretch.",
     equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
     parameters=(
@@ -168,7 +164,6 @@ def _play_terms(values: Values, printer: Terms) -> Terms:
 BELT_BACKLASH = _drive(
     name="belt_backlash",
     title="Backlash in the drive",
-    kind="force",
     physics="A loose pulley, gear, key or joint moves freely through a dead band; spring and damper act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
     parameters=(
@@ -214,7 +209,6 @@ BELT_BACKLASH = _drive(
 TORQUE_ANGLE = _drive(
     name="torque_angle",
     title="Motors near their holding torque",
-    kind="force",
     physics="A stepper's torque is a sine of the angle between rotor and field: soft near its peak.",
     equation="F = k a sin θ, s = u − q = a ((1 − b) θ + b sin θ)",
     parameters=(
@@ -252,7 +246,7 @@ PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitche
 COGGING = _drive(
     name="cogging",
     title="Motor ripple once per cycle",
-    kind="command",
+    acts_on="command",
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
@@ -301,7 +295,7 @@ COMMAND_DELAY = _drive(
     name="command_delay",
     law_of="lateness",
     title="A delay between command and motor",
-    kind="command",
+    acts_on="command",
     physics="Electronics, filters and step pulses take time, so the motor executes the command late.",
     equation="u_d(t) → u_d(t − τ)",
     parameters=(

@@ -181,13 +181,12 @@ class Signals:
 class Effect:
     """One deviation of a printer from the model.
 
-    A `parameter` effect changes the machine's parameters (`fold`), a `sensor` effect the recorded signals (`measure`).
-    A `force`, `command` or `frame` effect is a term of `models/printer/kernels` with the numbers of `terms`.
+    It changes the machine's parameters (`fold`) or the recorded signals (`measure`), or it is a term of
+    `models/printer/kernels` with the numbers of `terms`.
     """
 
     name: str  # of its table in a machine file
     title: str
-    kind: Kind
     physics: str
     equation: str
     parameters: tuple[EffectParameter, ...]
@@ -198,6 +197,7 @@ class Effect:
     fold: Callable[[Machine, Values], Machine] | None = None
     measure: Callable[[Signals, Values], Signals] | None = None
     terms: Callable[[Values, Terms], Terms] | None = None  # from its values and the printer's terms so far
+    acts_on: Literal["force", "command", "frame"] = "force"  # of a term
     of_axis: tuple[EffectParameter, ...] = ()  # shapes of an axis by itself only
     of_printers: tuple[EffectParameter, ...] = ()  # shapes of printers only
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
@@ -210,6 +210,11 @@ class Effect:
     corrects_file: bool = False  # it only corrects a number of the machine file
     of_motors: bool = False  # its values belong to belts and motors, not to carriages or axes
     shifts_time: bool = False  # a recorded sample depends on others than itself
+
+    @property
+    def kind(self) -> Kind:
+        """Return what it changes: parameters, signals, or where its term acts."""
+        return "parameter" if self.fold else "sensor" if self.measure else self.acts_on
 
     @property
     def cause(self) -> str:

@@ -50,7 +50,6 @@ GUIDE_DAMPING = Effect(
     name="guide_damping",
     title="More viscous friction",
     family="viscous friction",
-    kind="parameter",
     physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
     parameters=(
@@ -103,7 +102,6 @@ COULOMB_FRICTION = Effect(
     title="Dry friction",
     family="dry friction",
     law_of="dry friction",
-    kind="force",
     physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
@@ -138,7 +136,6 @@ STRIBECK_FRICTION = Effect(
     title="More dry friction at rest",
     family="dry friction that falls with speed",
     law_of="dry friction",
-    kind="force",
     physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
@@ -186,7 +183,6 @@ BRISTLE_FRICTION = Effect(
     title="Presliding: friction that acts like a spring before it slides",
     family="dry friction",
     law_of="dry friction",
-    kind="force",
     physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
@@ -215,7 +211,6 @@ JOINT_FRICTION = Effect(
     name="joint_friction",
     title="Dry friction in the arms' ball joints",
     family="dry friction",
-    kind="force",
     physics="Tight or dirty joints resist the effector's motion with the same force at every speed.",
     equation="F = −f Ẋ/|Ẋ|; at rest any |F| ≤ f",
     parameters=(amplitude("force_n", "f, on the effector", (0, 200), (0.2, 5), 0.5), *reversal_parameters("scalar")),
@@ -235,7 +230,6 @@ FRICTION_BY_DIRECTION = Effect(
     name="friction_by_direction",
     title="Viscous friction that differs by direction",
     family="friction that differs by direction",
-    kind="force",
     physics="A screw's preload, a cable chain or a seal's lip resists more in one direction than in the other.",
     equation="F = (b + Δb/2 sgn q̇) q̇",
     parameters=(
@@ -269,7 +263,6 @@ FRICTION_BY_LOAD = Effect(
     name="friction_by_load",
     title="Dry friction that grows with the load on the drive",
     family="dry friction that grows with load",
-    kind="force",
     physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
     equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
     parameters=(
@@ -294,7 +287,6 @@ QUADRATIC_DRAG = Effect(
     name="quadratic_drag",
     title="Drag that grows with the square of speed",
     family="friction that grows with the square of the speed",
-    kind="force",
     physics="Displaced air, oil or coolant resists with the square of the speed.",
     equation="F = d q̇ |q̇|",
     parameters=(

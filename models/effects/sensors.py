@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from models.arrays import FloatArray
 from models.effects.effect import EACH, USUAL_SHARE, Effect, Signals, Values, amplitude, resampled, shape
 
 JOIN = "Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join)."
-_sensor = partial(Effect, kind="sensor")
 
 
 def _scaled(true: Signals, values: Values) -> Signals:
@@ -19,7 +17,7 @@ def _scaled(true: Signals, values: Values) -> Signals:
     return replace(true, carriage=carriage, nozzle=true.nozzle * (1 + values["nozzle_relative_change"]))
 
 
-SENSOR_GAIN = _sensor(
+SENSOR_GAIN = Effect(
     name="sensor_gain",
     title="Accelerometer gain",
     physics="Sensitivities are calibrated to a few percent.",
@@ -53,7 +51,7 @@ def _turned(true: Signals, values: Values) -> Signals:
     return replace(true, nozzle=true.nozzle @ rotation(np.radians(values["angles_deg"])))
 
 
-SENSOR_MISALIGNMENT = _sensor(
+SENSOR_MISALIGNMENT = Effect(
     name="sensor_misalignment",
     title="A misaligned nozzle accelerometer",
     physics="The sensor's axes are rotated relative to the printer's.",
@@ -66,7 +64,7 @@ SENSOR_MISALIGNMENT = _sensor(
 )
 
 
-SENSOR_TIME_OFFSET = _sensor(
+SENSOR_TIME_OFFSET = Effect(
     name="sensor_time_offset",
     law_of="lateness",
     title="A constant time offset of the recording",
@@ -84,7 +82,7 @@ SENSOR_TIME_OFFSET = _sensor(
 )
 
 
-SENSOR_CLOCK_DRIFT = _sensor(
+SENSOR_CLOCK_DRIFT = Effect(
     name="sensor_clock_drift",
     title="A fast or slow recorder clock",
     physics="Accelerometers sample with their own oscillators, accurate to a percent or two.",
@@ -122,7 +120,7 @@ def _lagging(true: Signals, values: Values) -> Signals:
     return replace(true, position=columns[:, :2], nozzle=nozzle)
 
 
-SENSOR_LAG = _sensor(
+SENSOR_LAG = Effect(
     name="sensor_lag",
     title="Sensors with a delay or a low-pass",
     physics="Encoders are read in turn, and filters and interfaces delay each sensor differently.",

@@ -23,7 +23,7 @@ def _frame_terms(values: Values, printer: Terms) -> Terms:
 FRAME_MODE = Effect(
     name="frame_mode",
     title="A frame that sways",
-    kind="frame",
+    acts_on="frame",
     physics=(
         "The reaction to the effector's acceleration pushes the frame with towers, carriages and bed, which stands on "
         "a soft base. Accelerometers feel the sway; the print, made on a bed that sways along, feels what it does to "
@@ -62,7 +62,7 @@ def _racking_terms(values: Values, printer: Terms) -> Terms:
 GANTRY_RACKING = Effect(
     name="gantry_racking",
     title="Gantry racking (yaw)",
-    kind="frame",
+    acts_on="frame",
     physics=(
         "A toolhead off the gantry's middle lags behind when the gantry accelerates along y, and turns it; belts that "
         "pull the toolhead along x at unequal distances (an H-frame; a CoreXY whose belts do not lie over each "
@@ -131,7 +131,6 @@ def _toolhead_terms(values: Values, printer: Terms) -> Terms:
 TOOLHEAD_MODE = Effect(
     name="toolhead_mode",
     title="A toolhead mode that depends on X",
-    kind="force",
     physics=(
         "The beam that carries the toolhead is softest in its middle, and twists more the farther the toolhead is from "
         "a guide. On an axis with several modes, this changes the one with the highest frequency."
@@ -157,7 +156,6 @@ TOOLHEAD_MODE = Effect(
 GROWING_BED = Effect(
     name="growing_bed",
     title="A bed that gets heavier as it prints",
-    kind="force",
     physics=(
         "On a bed slinger the print rides on the bed, so the belt moves more mass as the print grows. The file's "
         "numbers are those of the empty bed. Every mode of the axis slows by the same factor, exact for one mode."
@@ -178,7 +176,6 @@ GROUND_SPRING = Effect(
     title="A spring that pulls the axis to one position",
     family="a pull towards one place",
     law_of="a pull towards one place",
-    kind="force",
     physics="Hoses, cables, a bellows or gravity on a curved guide pull harder the farther the axis moves.",
     equation="F = k q",
     parameters=(
@@ -200,7 +197,6 @@ PENDULUM_GRAVITY = Effect(
     title="Gravity on a rotating arm",
     family="a pull towards one place",
     law_of="a pull towards one place",
-    kind="force",
     physics="Gravity pulls an unbalanced arm, load or rotor to its lowest position.",
     equation="F = m g l sin(q − q₀)",
     parameters=(
@@ -240,7 +236,6 @@ USUAL_RIPPLE = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n / 3)
 COGGING_FORCE = Effect(
     name="cogging_force",
     title="A force that repeats along the axis",
-    kind="force",
     physics=(
         "Magnets of a motor, balls of a screw or teeth of a rack push and pull once per pitch. There may be several "
         "lines, each with a pitch: of a motor's poles, slots and their multiples."

@@ -11,7 +11,7 @@ from numpy.polynomial.polynomial import polyvander
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.errors import UnreachableError
-from models.kinematics.base import Kinematics
+from models.kinematics.base import Kinematics, rings
 from models.machine import Machine
 from models.printer.kernels.axes import FIRST, SHARE
 from models.printer.kernels.integrate import find_equilibrium
@@ -108,9 +108,7 @@ def _powers(xy: FloatArray) -> FloatArray:
 def _coefficients(plant: Machine) -> FloatArray:
     """Fit a polynomial of the eighth order over the bed, (45, 3) mm; its error is at most 10 nm."""
     reach = plant.kinematics.bed_radius_mm
-    rings, around = reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
-    radius, angle = (each.ravel() for each in np.meshgrid(rings, around))
-    positions = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0 * radius])
+    positions = np.pad(rings(reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)[1:]), _ANGLES), ((0, 0), (0, 1)))
     commands = plant.kinematics.compiled().inverse(positions)
     heavy, weightless = (printer_parameters(plant, gravity=g) for g in (True, False))
     kinematics = effective_machine(plant).kinematics

@@ -330,9 +330,7 @@ class DeltaVibration(VibrationModel):
 @lru_cache(maxsize=16)
 def _middle_and_rim(kinematics: DeltaKinematics) -> FloatArray:
     """Return J (13, 3, 3) at the centre and around the rim."""
-    angles = np.arange(0, 2 * np.pi, np.pi / 6)
-    rim = kinematics.model_reach_mm * np.column_stack([np.cos(angles), np.sin(angles)])
-    return kinematics.jacobian(np.vstack([np.zeros((1, 2)), rim]))
+    return kinematics.jacobian(kinematics.rings(1, 12))
 
 
 def _drive_parameters(drive: Drive) -> PrinterFields:

@@ -52,10 +52,8 @@ def _to_do() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_kind_and_hooks_agree(effect: Effect) -> None:
-    assert (effect.fold is not None) == (effect.kind == "parameter")
-    assert (effect.measure is not None) == (effect.kind == "sensor")
-    assert (effect.terms is not None) == (effect.kind in ("force", "command", "frame"))
+def test_an_effect_is_one_thing_and_can_be_made(effect: Effect) -> None:
+    assert [effect.fold, effect.measure, effect.terms].count(None) == 2
     assert effect.amplitudes or not effect.parameters
     assert effect.remedy.format(where="").endswith((".", ")"))
 
