@@ -157,7 +157,9 @@ def _advice(start: Machine, result: PageFit) -> list[str]:
             f"The picture hardly determines {', '.join(result.kept)}: their intervals are nearly the starting file's."
         )
     for axis in "xy":
-        ring = result.bead[f"ring_{axis}"]
+        ring, share = result.bead[f"ring_{axis}"], result.bead.get(f"second_{axis}")
+        if share is not None and axis not in result.second:
+            ring = Estimate(1.0 + share.value, share.sd, 1.0 + share.low, 1.0 + share.high)
         if ring.low > 1.0 + STRONG:
             sentences.append(
                 f"{axis} rings {ring.value:.2f} times ({ring.low:.2f} to {ring.high:.2f}) as much as the file's modes "
