@@ -10,9 +10,10 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from itertools import pairwise
+from math import inf
 from operator import itemgetter
 
 import numpy as np
@@ -37,7 +38,8 @@ from models.arrays import FloatArray, IntArray
 from models.compiled import kernel
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
-_Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
+# a move of the original (index into its lines), another line of it, a line of ours, a limit of the motors
+_Line = int | Event | bytes | float
 SLACK_MM = 5e-4  # how far from its place the end of a segment may be written, if that takes fewer digits,
 SLACK_MM_PER_S = 0.05  # and how much that may change the neighbouring speeds
 REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
@@ -250,7 +252,7 @@ class GcodeRenderer:
             self.section_begin = (self.program.line_of(first) - 1, timeline.lead_s)
         begins = self.moves.place[:3]
         segments, timed = self._segments(first, vertices, timeline, filament)
-        lines = segments.lines(timeline)
+        lines = sorted([*segments.lines(timeline), *segments.limits()], key=itemgetter(0))
         text: list[bytes] = []
         stated = np.empty_like(segments.points)
         since = 0
@@ -285,17 +287,17 @@ class GcodeRenderer:
         ends[[0, *at.searchsorted([piece.begin, piece.end]), -1]] = True
         chosen = self.firmware.executed(points, fixed, ends)
         at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
-        due, lasting = self.firmware.times(at, points)
+        due, lasting = at * s.segment_s, np.diff(at) * s.segment_s
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         after = filament if piece.end == piece.last else None
-        feed, speeds = self.firmware.speeds(points, e, lasting, self._file_limits(), after)
+        feed, most, speeds = self.firmware.speeds(points, e, lasting, self._file_limits(), after)
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         timed = TimedSegments(due, points, speeds).part(begin, end)
         late_s = np.where(speeds.duration > 0.0, speeds.duration - lasting, 0.0)  # of whole steps some are early
         self.late_s += float(late_s[begin:end].sum())
         lasting += late_s
-        segments = _Segments(kept[:-1], points[1:], e[1:], feed, lasting, slack)
+        segments = _Segments(kept[:-1], points[1:], e[1:], feed, most, lasting, slack)
         return segments.part(begin, end), timed
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
@@ -349,6 +351,8 @@ class GcodeRenderer:
     def _line(self, line: _Line) -> Iterable[bytes]:
         if isinstance(line, int):
             return (self._original(line),)
+        if isinstance(line, float):
+            return self._ours(self.firmware.paced(line, self._file_limits()))
         return (line,) if isinstance(line, bytes) else self.event(line)
 
     def _file_limits(self) -> FileLimits:
@@ -417,12 +421,19 @@ class _Segments:
     points: FloatArray  # (n, 3) mm, columns X Y Z, their ends
     e: FloatArray  # (n,) mm of filament at their ends
     speeds: FloatArray  # (n,) mm/s
+    most: FloatArray  # (n,) mm/s of the motors, inf: their limits in the header
     lasting: FloatArray  # (n,) s
     slack: FloatArray  # (n,) mm, how far from its end it may be written
 
     def part(self, begin: int, end: int) -> _Segments:
         s = slice(begin, end)
-        return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s], self.slack[s])
+        return _Segments(*(getattr(self, each.name)[s] for each in fields(self)))
+
+    def limits(self) -> list[tuple[int, _Line]]:
+        """Return the motors' limits with the segment that each stands before: a line may raise them between two."""
+        most = np.append(self.most, inf)
+        limited = np.concatenate([[False], self.most < inf, [False]])
+        return [(k, most.item(k)) for k in np.flatnonzero(limited[1:] | limited[:-1]).tolist()]
 
     def lines(self, timeline: Timeline) -> list[tuple[int, _Line]]:
         """Return the original's lines that go out among them, each with the segment it stands before.

@@ -202,7 +202,7 @@ class Segments:
 
     @property
     def longest_s(self) -> float:
-        """The longest segment that the firmware does not cut."""
+        """The longest segment that joined ones become."""
         return inf
 
     @property
@@ -245,17 +245,12 @@ class Segments:
         """
         return np.arange(len(points))
 
-    def times(self, at: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return when segments begin and end, (n + 1,) s, and their durations, (n,) s.
-
-        at : (n + 1,) knots;  points : (n + 1, 3) mm
-        """
-        return at * self.knot_s, (at[1:] - at[:-1]) * self.knot_s
-
     def speeds(
         self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
-    ) -> tuple[FloatArray, SegmentSpeeds]:
+    ) -> tuple[FloatArray, FloatArray, SegmentSpeeds]:
         """Return the speeds to request, (n,) mm/s, and how the firmware then executes the segments.
+
+        Between them: the motors' limits that must be in force, (n,) mm/s; inf: those of the header.
 
         Parameters
         ----------
@@ -266,7 +261,11 @@ class Segments:
         filament : the next move, without a rest before it: the last segment need not end at rest
         """
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, self.raised)
-        return speeds.cruise, speeds
+        return speeds.cruise, np.full(len(lasting), inf), speeds
+
+    def paced(self, motors_mm_per_s: float, file: FileLimits) -> list[bytes]:
+        """Return the lines that set a limit of the motors; inf: that of the header."""
+        return []
 
     def opening(self, file: FileLimits) -> list[bytes]:
         """Return the lines that raise the limits."""

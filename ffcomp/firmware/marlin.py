@@ -2,7 +2,8 @@
 
 They are long enough in steps, timed by its own queue, within limits of ours. Marlin drops what has fewer steps than
 MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost;
-it cuts a delta's lines that last 10 ms and more into equal parts, and each may be too short; it slows the first
+it cuts a delta's lines that last 10 ms and more by their F, and each part may be too short: M203, which limits the
+motors, sets lower speeds; it slows the first
 lines after a rest (SLOWDOWN, by `M205 B`); it rounds every end to whole steps (`whole_steps`); and one step of the
 filament more or less from segment to segment is a jump of its speed, and E's jerk then slows the path.
 """
@@ -26,12 +27,10 @@ from ffcomp.firmware.marlin_planner import (
     planner_of,
     settings_row,
 )
-from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
+from ffcomp.firmware.marlin_queue import SPEED, STEPS, Singles, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import assumed_sentence, row_after
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.settings import CUT
-from ffcomp.planner.lifts import STEEP
 from ffcomp.planner.segment_merging import at_most
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from gcode.dialect import MARLIN
@@ -171,19 +170,11 @@ class MarlinSegments(Segments):
         flow, pinned = np.diff(e), pinned.copy()
         pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0
         pinned[[0, -1]] = True
-        kept, due, placed = self.steps.ends(at, points, kept, pinned, self.longest_s / self.knot_s)
+        kept, due, placed = self.steps.ends(at, points, kept, pinned)
         within = inside(placed)
         due, placed = np.where(within, due, at[kept]), np.where(within[:, None], placed, points[kept])
         stays = at_most(due, placed, np.arange(len(kept)), pinned[kept], self.most_in_a_second)
-        kept, due, placed, fixed = kept[stays], due[stays], placed[stays], pinned[kept][stays]
-        per_mm = self.row[STEPS][2]
-        for k in np.flatnonzero(np.diff(due) * self.knot_s > self.longest_s).tolist():
-            x, y, z = placed[k + 1] - placed[k]
-            stands, moved = (k + 1, k) if k + 2 == len(due) or due[k + 1] % CUT == 0.0 else (k, k + 1)
-            if moved and due[moved] % CUT and STEEP * np.hypot(x, y) <= abs(z):  # a lift that goes aside would be cut
-                placed[moved] = placed[stands]
-                placed[moved, 2] += np.rint((moved - stands) * z * per_mm) / per_mm
-        return kept, due, placed, fixed
+        return kept[stays], due[stays], placed[stays], pinned[kept][stays]
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Return the ends of the file's own lines at whole steps."""
@@ -193,17 +184,13 @@ class MarlinSegments(Segments):
         """Leave out the ends of segments that Marlin would drop."""
         return _executed(np.rint(self.steps.motors(points)), fixed, ends, self.settings.minimum_steps_per_segment)
 
-    def times(self, at: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return times such that no segment is cut: where one is too long, the next make up for it."""
-        aside, up = np.hypot(*np.diff(points[:, :2], axis=0).T), np.abs(np.diff(points[:, 2]))
-        most_s = np.where(STEEP * aside > up, self.longest_s, np.inf)  # parts of a lift are long enough
-        lasting = _shortened((at[1:] - at[:-1]) * self.knot_s, most_s)
-        return at[0] * self.knot_s + np.append(0.0, np.cumsum(lasting)), lasting
-
     def speeds(
         self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
-    ) -> tuple[FloatArray, SegmentSpeeds]:
-        """Return speeds that make Marlin's queue execute each segment in its time."""
+    ) -> tuple[FloatArray, FloatArray, SegmentSpeeds]:
+        """Return speeds that make Marlin's queue execute each segment in its time.
+
+        Where it would cut a delta's line into parts too short, F is higher, and M203 limits the motors instead.
+        """
         raised = raising(self.machine, self.raised, file.commands)
         row = reduce(row_after, [*file.commands.values(), *raised], self.row)
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
@@ -211,20 +198,33 @@ class MarlinSegments(Segments):
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
         by_motors = not (on_delta(self.machine) or self.machine.kinematics.shares_motors)
         mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
-        meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
-        feed = meant.copy()
+        way = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6)
+        meant, fastest = way / lasting, np.abs(change[:, :3]).max(axis=1) / way
+        steps = np.abs(change * self.row[STEPS])[:, :3].max(axis=1)
+        too_short = steps < lasting * self.settings.segments_per_second * (self.settings.minimum_steps_per_segment + 1)
+        pace, uncut = meant.copy(), np.where(too_short, way / self.longest_s, 0.0)
         lengths = np.full(len(mm), np.nan) if by_motors else straight
+        settings = np.tile(row.astype(np.float32), (len(mm), 1))
         for sweep in range(SWEEPS + 1):
-            duration = self._durations(motors, lengths, feed, row, filament)
+            feed = np.maximum(pace, uncut)
+            most = np.where((pace < feed) & (fastest > 0.0), pace * fastest, inf)
+            settings[:, SPEED][:, :3] = np.minimum(row[SPEED][:3], most[:, None])
+            duration = self._durations(motors, lengths, feed, settings, filament)
             if sweep < SWEEPS:
-                feed = np.clip(feed * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
+                pace = np.clip(pace * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
         executed = np.where(duration > 0.0, duration, lasting)
         played = straight / executed
         junction = np.concatenate([[0.0], np.minimum(played[1:], played[:-1]), [0.0]])
-        return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.raised.acceleration_mm_per_s2), executed)
+        acceleration = np.full(len(mm), self.raised.acceleration_mm_per_s2)
+        return feed, most, SegmentSpeeds(played, junction, acceleration, executed)
+
+    def paced(self, motors_mm_per_s: float, file: FileLimits) -> list[bytes]:
+        """Return M203 of the motors."""
+        most = min(motors_mm_per_s, self.raised.velocity_mm_per_s)
+        return limit_lines(MARLIN, [LimitCommand("M203", dict.fromkeys("XYZ", most))], file.unit_mm)
 
     def _durations(
-        self, motors: FloatArray, length: FloatArray, feed: FloatArray, row: FloatArray, filament: Filament | None
+        self, motors: FloatArray, length: FloatArray, feed: FloatArray, settings: Singles, filament: Filament | None
     ) -> FloatArray:
         segments = len(feed)
         if not segments:
@@ -232,23 +232,19 @@ class MarlinSegments(Segments):
         if filament is not None:
             motors = np.vstack([motors, motors[-1] + [0.0, 0.0, 0.0, filament.mm]])
             length, feed = np.append(length, np.nan), np.append(feed, filament.mm_per_s)
+            settings = np.vstack([settings, settings[-1:]])
         n = len(feed)
         start = np.full((n, 4), np.nan)
         start[0] = motors[0]
         nothing, rests = np.zeros(n), np.zeros(n, dtype=np.bool_)
-        settings = np.broadcast_to(row.astype(np.float32), (n, len(row)))
-        targets = Targets(start, motors[1:], length, feed, nothing, nothing, rests, np.ascontiguousarray(settings))
+        targets = Targets(start, motors[1:], length, feed, nothing, nothing, rests, settings)
         blocks = plan_blocks(targets, self.settings.minimum_steps_per_segment, False)
         return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n)[:segments].astype(np.float64)
 
     @property
     def longest_s(self) -> float:
-        """Return how long a segment may last that Marlin does not cut: a delta's lines it cuts in equal parts.
-
-        Where even a knot is longer, segments are cut, and any length will do.
-        """
-        whole_s = WHOLE_S * 2.0 / self.settings.segments_per_second
-        return whole_s if on_delta(self.machine) and whole_s >= self.knot_s else np.inf
+        """Return how long F may say that a segment lasts: a delta's lines that last longer Marlin cuts."""
+        return WHOLE_S * 2.0 / self.settings.segments_per_second if on_delta(self.machine) else inf
 
 
 class MarlinFilamentCount(FilamentCount):
@@ -294,16 +290,6 @@ class MarlinFilamentCount(FilamentCount):
 
 def _file_e_mm(frame: ModalState, e_mm: float) -> float:
     return (e_mm - frame.base[3]) / frame.flow
-
-
-@kernel
-def _shortened(lasting: FloatArray, most: FloatArray) -> FloatArray:
-    out, lost = lasting.copy(), 0.0
-    for k in range(len(out)):
-        wanted = out[k] + lost
-        out[k] = min(wanted, most[k])
-        lost = min(wanted - out[k], most[k])  # more of it would slow what comes later for long
-    return out
 
 
 @kernel

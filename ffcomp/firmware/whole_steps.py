@@ -2,8 +2,9 @@
 
 Marlin rounds the end of every block to whole steps, and drops a block of fewer than `minimum`. Rounding is white noise
 up to half the rate of the segments, and the machine's resonances lie there; where the nozzle is slow, a block that is
-long enough lasts ten times as long as a knot, and the command turns meanwhile. Both are one choice: of an end's time
-and of its steps. The error e of the executed polyline against the command rings in the machine's model,
+long enough lasts ten times as long as a knot, and the command turns meanwhile. Both are one choice: of an end's time,
+every `RESOLUTION` steps of the command, and of its steps. The error e of the executed polyline against the command
+rings in the machine's model,
 
     x_{k+1} = A x_k + B₀ e_k + B₁ e_{k+1}    y_k = C x_k    cost  Σ |W y_k|² + penalty · e²
 
@@ -43,9 +44,10 @@ MISS_COST = 0.3  # of e², in squares of what a step moves: with less, misses be
 SEGMENT_COST = 1e-4  # mm² knots, of one more segment: each 10 µm all along a knot
 SETTLE = 12  # segments, after which what follows an end is known well enough
 AROUND = 4  # segments on either side of one that is too short: their ends are chosen again with its own
+RESOLUTION = 2.0  # steps between points that are tried: closer ones differ by less than the rounding
 FAR = 2.0  # times the steps that a segment must have, beyond which no longer one is tried there
 MOST_KNOTS = 60  # and how long one may last
-BEYOND = 5.0  # steps from the command, at most
+BEYOND = 3.0  # steps from the command, at most
 LEAST_KNOTS = 1.0  # that a segment lasts at least, if no line of the file cuts it
 MOST_SHIFT = 0.4  # of the time to the next point: an end becomes due so much earlier or later at most
 SPARE = 0.9  # of the motors' acceleration, because Marlin's times are not quite ours
@@ -64,7 +66,7 @@ class WholeSteps:
     minimum: int  # steps that a segment must have
     most: FloatArray  # (3,) steps a knot², of the motors' acceleration
     _plants: dict[tuple[int, int], list[FloatArray]] = field(default_factory=dict)
-    _rest: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+    _rest: dict[tuple[int, int, int], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: InverseModel, steps_per_mm: FloatArray, free: BoolArray, minimum: int) -> WholeSteps:
@@ -75,7 +77,7 @@ class WholeSteps:
         return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, most)
 
     def ends(
-        self, at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, longest: float
+        self, at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray
     ) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return which points end segments, (k,); when they are due, (k,) knots; and where, (k, 3) mm.
 
@@ -85,11 +87,12 @@ class WholeSteps:
         points : (n, 3) mm
         kept : (m,) the ends that would do if steps had no size; others are tried where segments have too few steps
         pinned : (n,) which of them end segments in any case, and do not move
-        longest : knots of a segment
         """
         steps = self.motors(points)
         knots = np.arange(int(np.floor(at[0])), ceil(at[-1]) + 1)
-        command = np.stack([np.interp(knots, at, column) for column in steps.T], axis=1)
+        command, path = (np.stack([np.interp(knots, at, x) for x in columns.T], axis=1) for columns in (steps, points))
+        toward = np.gradient(path, axis=0)
+        toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
         t = self.table
         near = np.clip(np.rint((points[:, :2] - t.x0_mm) / t.pitch_mm), 0, t.nodes - 1).astype(np.int64)
         places, node = np.unique(near[:, 0] * t.nodes + near[:, 1], return_inverse=True)
@@ -100,24 +103,26 @@ class WholeSteps:
         lasting = np.diff(at[kept])[np.searchsorted(kept[1:-1], np.arange(len(at)), side="right")]
         on = np.clip(np.rint(lasting), 1, MOST_KNOTS).astype(np.int64)
         pairs, which = np.unique(np.column_stack([places[node.ravel()], on]), axis=0, return_inverse=True)
+        rest = (self._to_go(int(place), int(knots), reach) for place, knots in pairs)
+        to_go = [np.array(each) for each in zip(*rest, strict=True)]
         chosen, due, whole = _search(
             at,
-            points,
             steps,
             command,
+            toward,
             int(knots[0]),
             node.ravel(),
             *_tried(steps, kept, fixed, float(self.minimum + 1)),
             fixed,
             at % CUT == 0.0,
             which.ravel(),
-            np.array([self._to_go(int(place), int(knots)) for place, knots in pairs]),
+            *to_go,
             *plants,
             self._penalty,
             self.free,
             self.minimum,
             self.most,
-            min(longest, float(MOST_KNOTS)),
+            float(MOST_KNOTS),
         )
         whole[:, ~self.free] = steps[chosen][:, ~self.free]
         return chosen, due, np.where(fixed[chosen][:, None], points[chosen], self._nozzle(whole))
@@ -163,10 +168,14 @@ class WholeSteps:
             self._plants[node, reach] = [a, b0, b1, c, begun, c @ begun]
         return self._plants[node, reach]
 
-    def _to_go(self, node: int, knots: int) -> FloatArray:
-        """Return P (N + 3, N + 3) at an end, if segments of so many knots follow; of any direction."""
-        if (node, knots) not in self._rest:
-            a, b0, b1, c = self._plant(node, MOST_KNOTS)[:4]
+    def _to_go(self, node: int, knots: int, reach: int) -> tuple[FloatArray, FloatArray]:
+        """Return P (N + 3, N + 3) at an end, if segments of so many knots follow, of any direction.
+
+        The second array, (reach + 1, 3, 3, 3), is RᵀPR = [0] - f [1] + f² [2] of a ramp that begins f after a knot.
+        """
+        key = node, knots, reach
+        if key not in self._rest:
+            a, b0, b1, c, begun = self._plant(node, reach)[:5]
             n = len(a)
             states = _ramped(a, b0, b1, knots)
             cost = sum((c @ x).T @ (c @ x) for x in states) + np.diag(np.append(np.zeros(n + 3), self._penalty))
@@ -176,8 +185,13 @@ class WholeSteps:
                 whole = cost + forward.T @ p @ forward
                 g, h = np.split(whole[n + 3 :], [n + 3], axis=1)
                 p = whole[:-3, :-3] - g.T @ np.linalg.solve(h, g)
-            self._rest[node, knots] = p
-        return self._rest[node, knots]
+            k = np.arange(reach + 1)[:, None, None]
+            ramp = np.concatenate([begun[:, :, :3], k * np.eye(3)], axis=1)
+            late = np.concatenate([begun[:, :, 3:], np.minimum(k, 1) * np.eye(3)], axis=1)
+            both = np.swapaxes(ramp, 1, 2) @ p @ late
+            alone = (np.swapaxes(each, 1, 2) @ p @ each for each in (ramp, late))
+            self._rest[key] = p, np.stack([next(alone), both + np.swapaxes(both, 1, 2), next(alone)], axis=1)
+        return self._rest[key]
 
 
 def _ramped(a: FloatArray, b0: FloatArray, b1: FloatArray, count: int) -> list[FloatArray]:
@@ -199,28 +213,36 @@ def _tried(steps: FloatArray, kept: IntArray, fixed: BoolArray, enough: float) -
     Around segments with too few steps all may; elsewhere those that are kept must.
     """
     m, may, must = len(kept), fixed.copy(), fixed.copy()
-    short = np.zeros(m, dtype=np.bool_)  # the segment after each
+    again = np.zeros(m + 1, dtype=np.bool_)  # the segment before each
     for k in range(m - 1):
-        most = 0.0
-        for i in range(3):
-            most = max(most, abs(steps[kept[k + 1], i] - steps[kept[k], i]))
-        short[k] = most < enough
+        if _apart(steps, kept[k], kept[k + 1]) < enough:
+            again[max(k + 1 - AROUND, 1) : min(k + 2 + AROUND, m)] = True
+    last = 0
     for k in range(m):
-        may[kept[k]] = must[kept[k]] = True
-    for k in range(m - 1):
-        if short[k]:
-            first, last = max(k - AROUND, 0), min(k + 1 + AROUND, m - 1)
-            may[kept[first] : kept[last]] = True
-            must[kept[first] + 1 : kept[last]] = fixed[kept[first] + 1 : kept[last]]
+        if again[k]:
+            for j in range(kept[k - 1] + 1, kept[k] + 1):
+                if fixed[j] or _apart(steps, last, j) >= RESOLUTION:
+                    may[j], last = True, j
+        if not (again[k] and again[k + 1]):
+            may[kept[k]], must[kept[k]], last = True, True, kept[k]
     return may, must
+
+
+@kernel
+def _apart(steps: FloatArray, a: int, b: int) -> float:
+    """Return the most steps between two points, of any motor."""
+    most = 0.0
+    for i in range(3):
+        most = max(most, abs(steps[b, i] - steps[a, i]))
+    return most
 
 
 @fast_kernel
 def _search(
     at: FloatArray,
-    points: FloatArray,
     steps: FloatArray,
     command: FloatArray,
+    toward: FloatArray,
     first: int,
     node: IntArray,
     may: BoolArray,
@@ -229,6 +251,7 @@ def _search(
     begins: BoolArray,
     which: IntArray,
     go: FloatArray,
+    ramped: FloatArray,
     a: FloatArray,
     b0: FloatArray,
     b1: FloatArray,
@@ -243,10 +266,11 @@ def _search(
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return which points end segments, when they are due, and their whole steps, from the first point to the last.
 
-    command (K, 3): steps at knots from `first` on.   node (n,): which of the plants (g, …) a point has.
+    command, toward (K, 3): steps, and the direction of the path, at knots from `first` on.
+    node, which (n,): the plant (g, …) of a point, and its P.
     may, must (n,): which points may end segments, and which must.   begins (n,): where earlier errors no longer count.
     """
-    n, size, rows = len(at), a.shape[1], c.shape[1]
+    n, size = len(at), a.shape[1]
     motors = int(free[0]) + int(free[1]) + int(free[2])
     around, blocks = 1 << motors, 2 * motors + 2
     count = np.zeros(n, dtype=np.int64)
@@ -254,10 +278,10 @@ def _search(
     x, cost, rank = np.zeros((n, around, size)), np.zeros((n, around)), np.zeros((n, around))
     due, lasted = np.zeros((n, around)), np.zeros((n, around))
     came, by = np.zeros((n, around), dtype=np.int64), np.zeros((n, around), dtype=np.int64)
-    longest_knots = begun.shape[1] - 1
-    state, seen = np.zeros((longest_knots + 1, size)), np.zeros((longest_knots + 1, rows))
-    wanted, squares = np.zeros(3), np.zeros((2, 2, 4, 4))
-    tried, unit, pace, way = np.zeros(3), np.zeros(3), np.zeros(3), np.ones(4)
+    sight = begun.shape[1]
+    state, passed, squares = np.zeros((sight, size)), np.zeros((sight, 4, 4)), np.zeros((2, 4, 4))
+    wanted, tried, pace, way = np.zeros(3), np.zeros(3), np.zeros(3), np.ones(4)
+    z, pz = np.zeros(size + 3), np.zeros(size + 3)
     count[0] = 1
     for i in range(3):
         place[0, 0, i] = np.floor(steps[0, i] + 0.5) if free[i] else steps[0, i]
@@ -271,7 +295,8 @@ def _search(
                 x[p, 0, i] = 0.0
             cost[p, 0], lasted[p, 0] = 0.0, 0.0
         g = node[p]
-        plant, rings, begun_here, shown_here = a[g], c[g], begun[g], shown[g]
+        plant, begun_here, shown_here = (a[g], b0[g], b1[g], c[g]), begun[g], shown[g]
+        left_on, ramped_on = go[which[p]], ramped[which[p]]
         for h in range(count[p]):
             last, last_speed, last_off = place[p, h], speed[p, h], off[p, h]
             last_due, last_cost, last_lasted = due[p, h], cost[p, h], lasted[p, h]
@@ -280,48 +305,44 @@ def _search(
             known, found = 0, False
             for r in range(size):
                 state[0, r] = x[p, h, r]
-            since = command[max(origin - first, 0) :]
+            at_knot, along = command[origin - first :], toward[origin - first :]
             for j in range(p + 1, n):
                 if not may[j]:
                     continue
                 if found and at[j] - at[p] > longest:
                     break
-                knots = min(int(np.floor(at[j])) - origin, longest_knots)
-                if knots > known or known == 0:
-                    known = _held(known, knots, last, last_off, since, plant, b0[g], b1[g], rings, state, seen)
-                step = steps[j]
-                length, ahead, own = 0.0, 0.0, 0.0
+                step, ahead, own = steps[j], 0.0, 0.0
                 for i in range(3):
-                    unit[i] = points[j, i] - points[p, i]
-                    length += unit[i] * unit[i]
                     ahead = max(ahead, abs(step[i] - last[i]))
                     own = max(own, abs(step[i] - steps[p, i]))
-                for i in range(3):
-                    unit[i] = unit[i] / np.sqrt(length) if length > 0.0 else 0.0
-                earliest, latest, bend = 0.0, 0.0, 0.0
+                if ahead < minimum - BEYOND and not fixed[j]:
+                    continue
+                knots = min(int(np.floor(at[j])) - origin, sight - 1)
+                _held(known, knots, last, last_off, at_knot, along, plant, shown_here, phase, state, passed)
+                known = max(known, knots)
+                bend = earliest = latest = 0.0
                 if not fixed[j]:
-                    whole = at[j + 1] - at[j - 1]
-                    for i in range(3):
-                        pace[i] = (steps[j + 1, i] - steps[j - 1, i]) / whole if free[i] else 0.0
-                        turn = (steps[j + 1, i] - step[i]) / (at[j + 1] - at[j]) - pace[i] if free[i] else 0.0
-                        bend += pace[i] * pace[i] + turn * turn
-                    latest = MOST_SHIFT * (at[j + 1] - at[j])
-                    earliest = max(-MOST_SHIFT * (at[j] - at[j - 1]), last_due + LEAST_KNOTS - at[j])
+                    bend, earliest, latest = _slack(at, steps, j, free, last_due, pace)
                     if earliest > latest:
                         continue
-                at_knot, left_on = command[origin - first :], go[which[j]]
                 for m in range(max(knots - int(not fixed[j]), 0), knots + 1):
-                    ramp = shown_here, begun_here
-                    _weigh(m, seen, state, ramp, phase, unit, last, last_off, at_knot, left_on, squares[m & 1])
+                    for r in range(size):
+                        z[r] = state[m, r]
+                    for i in range(3):
+                        z[size + i] = last[i] - at_knot[m, i] if m > 0 else last_off[i]
+                    square = squares[m & 1]
+                    _left(m, z, begun_here[m], phase, left_on, ramped_on[m], pz, square)
+                    for q in range(4):
+                        for r in range(4):
+                            square[q, r] += passed[m, q, r]
                 if not fixed[j]:
-                    _seek(squares[knots & 1, 1], last, at[j] - last_due, step, penalty, free, wanted)
-                near, numbers = False, 1 if fixed[j] else around if ahead > minimum + BEYOND else blocks * around
-                for number in range(0 if must[j] else -around, numbers):
+                    _seek(square, last, at[j] - last_due, step, penalty, free, wanted)
+                aim, near = step if fixed[j] else wanted, False
+                numbers = 1 if fixed[j] else around if ahead > minimum + BEYOND else blocks * around
+                for number in range(numbers):
                     if near and number >= around:
                         break
-                    aim = step if fixed[j] or number < 0 else wanted
-                    candidate = number + around if number < 0 else number
-                    if not _candidate(candidate, aim, last, fixed[j], free, minimum, tried):
+                    if not _candidate(number, aim, last, fixed[j], free, minimum, tried):
                         continue
                     near = True
                     shift = 0.0
@@ -344,17 +365,17 @@ def _search(
                     if apart < minimum or (lasting < LEAST_KNOTS and own < minimum):
                         total += REFUSED
                     m = max(int(np.floor(at[j] + shift)) - origin, knots - 1, 0)
-                    found = True
-                    if count[j] == around and total >= rank[j].max():
-                        continue
-                    left = total
+                    square = squares[m & 1]
+                    found, left = True, total
                     for q in range(4):
                         for r in range(4):
-                            total += squares[m & 1, 0, q, r] * way[q] * way[r]
-                            left += squares[m & 1, 1, q, r] * way[q] * way[r]
+                            left += square[q, r] * way[q] * way[r]
                     slot = _slot(place[j], rank[j], count[j], tried, left)
                     if slot < 0:
                         continue
+                    for q in range(4):
+                        for r in range(4):
+                            total += passed[m, q, r] * way[q] * way[r]
                     count[j] = max(count[j], slot + 1)
                     rank[j, slot], cost[j, slot], due[j, slot], lasted[j, slot] = left, total, at[j] + shift, lasting
                     came[j, slot], by[j, slot] = p, h
@@ -381,96 +402,75 @@ def _held(
     place: FloatArray,
     off: FloatArray,
     command: FloatArray,
-    a: FloatArray,
-    b0: FloatArray,
-    b1: FloatArray,
-    c: FloatArray,
+    toward: FloatArray,
+    plant: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    shown: FloatArray,
+    phase: float,
     state: FloatArray,
-    seen: FloatArray,
-) -> int:
-    """Fill in x (…, N) and C x (…, 3) at the knots after an end, as if its place (3,) were held.
+    passed: FloatArray,
+) -> None:
+    """Fill in x (…, N) at the knots after an end as if its place (3,) were held, and what they cost with a ramp.
+
+    That is wᵀ passed w (…, 4, 4) with w = (steps a knot, 1).
 
     known, knots: up to where they are filled in, and shall be.   off (3,): e at the first of them.
-    command (…, 3): steps from there on.
+    command, toward (…, 3): steps and direction from there on.
     """
-    since, until = off.copy(), np.zeros(3)
-    if known == 0:
-        for r in range(c.shape[0]):
-            seen[0, r] = 0.0
-            for q in range(a.shape[0]):
-                seen[0, r] += c[r, q] * state[0, q]
+    a, b0, b1, c = plant[0], plant[1], plant[2], plant[3]
+    y, along = np.zeros((3, 4)), np.zeros(4)
     for k in range(known, knots):
-        for i in range(3):
-            if k > 0:
-                since[i] = place[i] - command[k, i]
-            until[i] = place[i] - command[k + 1, i]
         for r in range(a.shape[0]):
             value = 0.0
             for q in range(a.shape[0]):
                 value += a[r, q] * state[k, q]
             for i in range(3):
-                value += b0[r, i] * since[i] + b1[r, i] * until[i]
+                since = place[i] - command[k, i] if k > 0 else off[i]
+                value += b0[r, i] * since + b1[r, i] * (place[i] - command[k + 1, i])
             state[k + 1, r] = value
-        for r in range(c.shape[0]):
-            value = 0.0
+        along[:] = 0.0
+        for r in range(3):
+            y[r, 3] = 0.0
             for q in range(a.shape[0]):
-                value += c[r, q] * state[k + 1, q]
-            seen[k + 1, r] = value
-    return max(known, knots)
+                y[r, 3] += c[r, q] * state[k + 1, q]
+            for q in range(3):
+                y[r, q] = shown[k + 1, r, q] - phase * shown[k + 1, r, 3 + q]
+            for q in range(4):
+                along[q] += toward[k + 1, r] * y[r, q]
+        for q in range(4):
+            for r in range(4):
+                square = y[0, q] * y[0, r] + y[1, q] * y[1, r] + y[2, q] * y[2, r]
+                passed[k + 1, q, r] = passed[k, q, r] + square - (1.0 - ALONG**2) * along[q] * along[r]
 
 
 @fast_kernel
-def _weigh(
+def _left(
     m: int,
-    seen: FloatArray,
-    state: FloatArray,
-    ramp: tuple[FloatArray, FloatArray],
+    z: FloatArray,
+    begun: FloatArray,
     phase: float,
-    unit: FloatArray,
-    last: FloatArray,
-    last_off: FloatArray,
-    command: FloatArray,
     go: FloatArray,
+    ramped: FloatArray,
+    pz: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill in what m knots of a segment cost, (2, 4, 4): wᵀ out w with w = (steps a knot, 1); out[1]: with zᵀ P z.
+    """Fill in zᵀ P z at an end as wᵀ out w (4, 4), w = (steps a knot, 1), after m knots of a ramp.
 
-    It is the sum of the place that is held and a ramp.   command (…, 3): steps at its knots.   go: P.
+    z (N + 3,): with the place before held.   go: P.   ramped (3, 3, 3): of the ramp alone.   pz: scratch
     """
-    shown, begun = ramp
-    size = state.shape[1]
-    y, along, z, weighed = np.zeros((3, 4)), np.zeros(4), np.zeros((size + 3, 4)), np.zeros(4)
-    out[:] = 0.0
-    for k in range(1, m + 1):
-        along[:] = 0.0
-        for r in range(3):
-            y[r, 3] = seen[k, r]
-            for q in range(3):
-                y[r, q] = shown[k, r, q] - phase * shown[k, r, 3 + q]
-            for q in range(4):
-                along[q] += unit[r] * y[r, q]
-        for q in range(4):
-            for c in range(4):
-                square = y[0, q] * y[0, c] + y[1, q] * y[1, c] + y[2, q] * y[2, c]
-                out[0, q, c] += square - (1.0 - ALONG**2) * along[q] * along[c]
-    for r in range(size):
-        z[r, 3] = state[m, r]
-        for q in range(3):
-            z[r, q] = begun[m, r, q] - phase * begun[m, r, 3 + q]
-    for i in range(3):
-        z[size + i, i] = m - phase if m > 0 else 0.0
-        z[size + i, 3] = last[i] - command[m, i] if m > 0 else last_off[i]
+    size = len(begun)
+    out[3, 3] = 0.0
     for r in range(size + 3):
-        weighed[:] = 0.0
-        for c in range(size + 3):
-            for q in range(4):
-                weighed[q] += go[r, c] * z[c, q]
-        for q in range(4):
-            for c in range(4):
-                out[1, q, c] += z[r, q] * weighed[c]
-    for q in range(4):
-        for c in range(4):
-            out[1, q, c] += out[0, q, c]
+        pz[r] = 0.0
+        for q in range(size + 3):
+            pz[r] += go[r, q] * z[q]
+        out[3, 3] += z[r] * pz[r]
+    for q in range(3):
+        cross = (m - phase) * pz[size + q] if m > 0 else 0.0
+        for r in range(size):
+            cross += (begun[r, q] - phase * begun[r, 3 + q]) * pz[r]
+        out[q, 3] = out[3, q] = cross
+        for r in range(3):
+            out[q, r] = ramped[0, q, r] - phase * ramped[1, q, r] + phase * phase * ramped[2, q, r]
 
 
 @fast_kernel
@@ -483,7 +483,7 @@ def _seek(
     free: BoolArray,
     out: FloatArray,
 ) -> None:
-    """Fill in where an end costs least if steps have no size, (3,), near the command; cost (4, 4): as `_weigh` says."""
+    """Fill in where an end costs least if steps have no size, (3,), near the command; cost (4, 4): as of `_left`."""
     h, g = np.zeros((3, 3)), np.zeros(3)
     for i in range(3):
         h[i, i] = penalty[i]
@@ -502,6 +502,20 @@ def _seek(
                     h[r, c] -= factor * h[i, c]
     for i in range(3):
         out[i] = step[i] + min(max(g[i] / h[i, i], -BEYOND), BEYOND)
+
+
+@kernel
+def _slack(
+    at: FloatArray, steps: FloatArray, j: int, free: BoolArray, last_due: float, pace: FloatArray
+) -> tuple[float, float, float]:
+    """Fill in the steps a knot at a point; return how it bends there, and how much earlier or later it may be due."""
+    whole, bend = at[j + 1] - at[j - 1], 0.0
+    for i in range(3):
+        pace[i] = (steps[j + 1, i] - steps[j - 1, i]) / whole if free[i] else 0.0
+        turn = (steps[j + 1, i] - steps[j, i]) / (at[j + 1] - at[j]) - pace[i] if free[i] else 0.0
+        bend += pace[i] * pace[i] + turn * turn
+    earliest = max(-MOST_SHIFT * (at[j] - at[j - 1]), last_due + LEAST_KNOTS - at[j])
+    return bend, earliest, MOST_SHIFT * (at[j + 1] - at[j])
 
 
 @kernel

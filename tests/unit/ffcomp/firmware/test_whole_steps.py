@@ -49,7 +49,7 @@ def ends(
     own: WholeSteps, at: FloatArray, points: FloatArray, fixed: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Which points end segments, when they are due and where, if all would without steps."""
-    return own.ends(at, points, np.arange(len(at)), fixed, np.inf)
+    return own.ends(at, points, np.arange(len(at)), fixed)
 
 
 def response(error: FloatArray, frequency_hz: float, damping: float) -> FloatArray:
