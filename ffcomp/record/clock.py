@@ -106,10 +106,6 @@ class ClockFit:
     ratio_sd: float
     correlation: float  # below 20 Hz, of the measured and the expected motion, 0 to 1
 
-    def experiment_time(self, time_s: FloatArray) -> FloatArray:
-        """Convert the capture's times (n,) s."""
-        return np.asarray(self.offset_s + self.ratio * (time_s - time_s[0]), dtype=np.float64)
-
 
 def filtered(time_s: FloatArray, values: FloatArray) -> FloatArray:
     """Keep 2 to 20 Hz of (n, m), without delay."""

@@ -234,7 +234,7 @@ def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFi
 
 def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Joined:
     capture, duration_s = task.capture, task.expected.duration_s
-    tau = clock.experiment_time(capture.time_s)
+    tau = clock.offset_s + clock.ratio * (capture.time_s - capture.time_s[0])
     if tau[0] > -LEAST_REST_S or tau[-1] < duration_s:
         reason = (
             f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {duration_s:.2f} s; it must begin "
@@ -341,9 +341,12 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
 
 def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
     """Leave out axes that no chip feels, on a machine whose bed may move, and report it."""
-    deaf = [f"acc_{axis}" for axis, share in _median_shares(joined, machine).items() if share < DEAF]
-    notes = [fault("deaf", axis=column[-1]) for column in deaf]
-    return [_without(each, deaf) for each in joined] if deaf else list(joined), notes
+    deaf = [axis for axis, share in _median_shares(joined, machine).items() if share < DEAF]
+    heard = list[Joined]()
+    for each in joined:
+        kept = {name: values for name, values in each.recording.acceleration.items() if name[-1] not in deaf}
+        heard.append(replace(each, recording=replace(each.recording, acceleration=kept)))
+    return heard, [fault("deaf", axis=axis) for axis in deaf]
 
 
 def _median_shares(joined: Sequence[Joined], machine: Machine) -> dict[str, float]:
@@ -367,8 +370,3 @@ def _without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[l
         for name, axis in lacking.items()
     ]
     return [each for each in joined if each.name not in lacking], notes
-
-
-def _without(each: Joined, columns: Sequence[str]) -> Joined:
-    kept = {name: values for name, values in each.recording.acceleration.items() if name not in columns}
-    return replace(each, recording=replace(each.recording, acceleration=kept))

@@ -124,7 +124,8 @@ def scaled(band: Band, acceleration: float, velocity: float, seed: int) -> Float
     corner = band.lowest_hz
     while corner <= band.highest_hz:
         wave = multisine(band, corner, seed)
-        wave *= acceleration / _largest_bend(wave, band.segment_s)
+        bend = np.abs(np.roll(wave, -1) - 2.0 * wave + np.roll(wave, 1)).max() / band.segment_s**2
+        wave *= acceleration / bend
         fastest = float(np.abs(np.diff(wave, append=wave[0])).max()) / band.segment_s
         if fastest <= velocity:
             return wave
@@ -134,11 +135,6 @@ def scaled(band: Band, acceleration: float, velocity: float, seed: int) -> Float
         f"An acceleration of {acceleration:.0f} mm/s² from {band.lowest_hz:g} to {band.highest_hz:g} Hz needs "
         f"{fastest:.0f} mm/s and may have {velocity:.0f}; {fits:.0f} mm/s² would fit."
     )
-
-
-def _largest_bend(wave: FloatArray, segment_s: float) -> float:
-    """Return the largest second difference of one period, mm/s²."""
-    return float(np.abs(np.roll(wave, -1) - 2.0 * wave + np.roll(wave, 1)).max()) / segment_s**2
 
 
 # From rest to rest
