@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.problem import REACH_SD, Candidate, Parameter
+from ffcomp.diagnosis.problem import Candidate, Parameter
 from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, with_effects
 from models.effects.effect import AT_DRIVE, Effect, EffectParameter, MotionScales
@@ -41,11 +41,7 @@ def machine_parameters(machine: Machine) -> list[Parameter]:
         stated = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
         relative = machine.vibration.guessed.get(name, stated)
         if value and relative:
-            sd = relative * abs(value)
-            low = value - REACH_SD * sd
-            parameters.append(
-                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH_SD * sd)
-            )
+            parameters.append(Parameter.near(name, value, relative * abs(value)))
     return parameters
 
 

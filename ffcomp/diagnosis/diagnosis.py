@@ -334,15 +334,10 @@ def _file_off(result: Diagnosis) -> Fit | None:
     best, base, looser = result.best, result.base, LOOSENED
     if best is None or (result.named is not None and not set(result.named.names) <= FILE_CHANGES):
         return None
-    loose = tuple(_loosened(n, looser) for n in base.parameters)
+    loose = tuple(
+        n if belongs_to_recording(n.name) else Parameter.near(n.name, n.start, looser * n.sd) for n in base.parameters
+    )
     alone = fit(result.estimation, loose, base.z / looser, base.jacobian * looser, iterations=6)
     rows = len(alone.residual)
     enough = max(AS_LOOSE * best.fit.chi_squared / rows - 1, result.estimation.tolerance)
     return alone if mean_square(alone) - 1 < enough else None
-
-
-def _loosened(n: Parameter, times: float) -> Parameter:
-    if belongs_to_recording(n.name):
-        return n
-    low, high = n.start - times * (n.start - n.low), n.start + times * (n.high - n.start)
-    return replace(n, sd=times * n.sd, low=max(low, 0.05 * n.start) if n.start > 0 else low, high=high)

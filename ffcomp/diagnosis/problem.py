@@ -31,6 +31,12 @@ class Parameter:
     low: float = float("-inf")
     high: float = float("inf")
 
+    @classmethod
+    def near(cls, name: str, start: float, sd: float) -> Parameter:
+        """Return a parameter that stays within `REACH_SD` of its start; a positive one stays positive."""
+        low = start - REACH_SD * sd
+        return cls(name, start, sd, max(low, 0.05 * start) if start > 0 else low, start + REACH_SD * sd)
+
 
 def stem_of(name: str) -> str:
     """Return a parameter's name without the tower or axis that it is of."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
-from ffcomp.diagnosis.problem import REACH_SD, Candidate, Observation, Parameter, Repeats
+from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
 from ffcomp.measurement.faults import compare_repeats
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import moved_columns
@@ -94,9 +94,9 @@ def delay_parameters(
         for clock in o.by_clock:
             delay, drift = _names(o, clock)
             if sd > 0:
-                parameters.setdefault(delay, _parameter(delay, sd))
+                parameters.setdefault(delay, Parameter.near(delay, 0.0, sd))
             if drifts:
-                parameters.setdefault(drift, _parameter(drift, drift_sd))
+                parameters.setdefault(drift, Parameter.near(drift, 0.0, drift_sd))
     return list(parameters.values())
 
 
@@ -111,10 +111,6 @@ def with_stated_clock(candidate: Candidate, recordings: Sequence[Recording]) -> 
         return candidate
     amplitudes = tuple(replace(n, sd=min(n.sd, max(stated))) for n in candidate.amplitudes)
     return replace(candidate, amplitudes=amplitudes)
-
-
-def _parameter(name: str, sd: float) -> Parameter:
-    return Parameter(name, 0.0, sd, -REACH_SD * sd, REACH_SD * sd)
 
 
 def _spread_s(repeats: Sequence[Repeats]) -> float:

@@ -31,7 +31,7 @@ from ffcomp.diagnosis.fit import EstimationProblem, Fit, deviations, estimation_
 from ffcomp.diagnosis.held_out import groups, hold_out
 from ffcomp.diagnosis.noise import at_least, noise_floor, noise_share, raised_to_residual, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.problem import REACH_SD, Parameter, stem_of
+from ffcomp.diagnosis.problem import Parameter, stem_of
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.errors import MeasurementError, NothingToDo, RequestError
 from ffcomp.identification.machine_fit import hash_of, number_facts
@@ -280,9 +280,7 @@ def _prior(n: Parameter, machine: Machine, known: Mapping[str, float], request: 
     assumed = times if stem_of(n.name) not in machine.uncertainty else 1.0
     sd = known.get(n.name, assumed * n.sd)
     sd = float(np.hypot(sd, times * request.drift * np.sqrt(request.prints) * abs(n.start)))
-    edges = n.start - REACH_SD * sd, n.start + REACH_SD * sd
-    least = 0.05 * n.start
-    return replace(n, sd=sd, low=max(edges[0], least) if n.start > 0 else edges[0], high=edges[1])
+    return Parameter.near(n.name, n.start, sd)
 
 
 def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]:
