@@ -34,7 +34,7 @@ from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnosis.score_test import Screened, confounded_with, screen
-from ffcomp.diagnosis.search import Search, Selection, find_best, finish
+from ffcomp.diagnosis.search import Search, Selection, find_best
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import Estimate
@@ -208,7 +208,7 @@ def _diagnosed(
         hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
         if small and not hint:
             return replace(none, screened=screened)
-        selection = _found(Search(estimation, base, screened, progress))
+        selection = find_best(Search(estimation, base, screened, progress))
         searched = _Searched(selection.best, selection, screened, estimation, base)
     none, best = replace(none, screened=searched.screened), searched.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
@@ -219,13 +219,6 @@ def _diagnosed(
     return none if small and tested.rejections else tested
 
 
-def _found(search: Search) -> Selection:
-    """Search, and fit what was found with exact derivatives."""
-    selection = find_best(search)
-    search.progress(Stage(6, "fitting what was found with exact derivatives"))
-    return finish(search, selection)
-
-
 def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Searched | None:
     """Search in an excerpt of the recordings and fit the best to all; None if all is needed for the search."""
     part = excerpt_of(estimation, base.discrepancy)
@@ -233,10 +226,9 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
         return None
     count, share = len(part.problem.candidates), f"{100 * part.share:.0f} % of the data"
     progress(Stage(3, f"screening {count} effects in {share}: the discrepancy is large"))
-    begun = fit_in_excerpt(part, base)
-    retuned = fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
+    retuned = fit_in_excerpt(part, base)
     screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
-    selection = _found(Search(part, retuned, screened, progress))
+    selection = find_best(Search(part, retuned, screened, progress))
     best = fit_in_whole(estimation, selection.best, progress)
     return _Searched(best, selection, screened, part, retuned)
 

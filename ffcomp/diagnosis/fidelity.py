@@ -115,10 +115,11 @@ def excerpt_of(estimation: EstimationProblem, discrepancy: float) -> EstimationP
 
 
 def fit_in_excerpt(part: EstimationProblem, fitted: Fit) -> Fit:
-    """Take a fit of the machine's parameters over to an excerpt, which knows no delays of recordings that it omits."""
+    """Fit the machine's parameters to an excerpt, which knows no delays of recordings that it omits."""
     known = {n.name for n in part.problem.parameters}
     keep = [i for i, n in enumerate(fitted.parameters) if n.name in known]
-    return linearised(part, tuple(fitted.parameters[i] for i in keep), fitted.z[keep])
+    begun = linearised(part, tuple(fitted.parameters[i] for i in keep), fitted.z[keep])
+    return fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
 
 
 def linearised(estimation: EstimationProblem, parameters: Sequence[Parameter], z: FloatArray) -> Fit:

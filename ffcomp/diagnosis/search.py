@@ -78,14 +78,14 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The best hypothesis so far, and all that were tried."""
+    """The best hypothesis, and all that were tried."""
 
     best: Hypothesis
     tried: tuple[Hypothesis, ...]
 
 
 def find_best(search: Search) -> Selection:
-    """Run the search up to its final fits."""
+    """Search, and fit what was found with exact derivatives."""
     search.progress(Stage(4, "fitting the most promising effects"))
     settings, none = search.settings, Hypothesis((), search.retuned)
     chosen = _chosen(search, [search.retuned])
@@ -100,7 +100,8 @@ def find_best(search: Search) -> Selection:
         if not beam or not _gains(search, beam[0], best):
             break
         best = beam[0]
-    return Selection(best, tuple(tried))
+    search.progress(Stage(6, "fitting what was found with exact derivatives"))
+    return Selection(_finished(search, best, tried), tuple(tried))
 
 
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
@@ -365,17 +366,15 @@ def _points(h: Hypothesis, shape: Parameter, every: int) -> list[float]:
 # ---- finish --------------------------------------------------------------------------------------
 
 
-def finish(search: Search, selection: Selection) -> Selection:
+def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
     """Leave out of the best hypothesis the effects that it does not need, and fit it with exact derivatives.
 
     One that leaves too much to be named, even with a rest, stays as it is.
     """
-    best = selection.best
     if best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
         search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
-        return selection
-    needed = _without_idle(search, best, selection.tried)
-    return replace(selection, best=fit_exactly(search.estimation, needed, search.progress))
+        return best
+    return fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
