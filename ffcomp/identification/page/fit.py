@@ -647,26 +647,26 @@ def _check_conditions(fitted: FitResult[_Page]) -> None:
     """Refuse a page that was drawn under other conditions than its G-code says, with the probable one.
 
     Where roughness does not account for the residual, speed and rings are fitted freely: a line shows what rings
-    against its own length and the zigzag's time, which no override of speeds changes.
+    against its own length and the zigzag's time. Where it does, less ringing is that of a load on an elastic mount.
     """
     page, shown = fitted.problem, _shown(fitted)
-    if shown.doubt > DOUBTFUL:
-        free = _Page(page.machine, page.lines, page.width_mm, conditions=OVERRIDDEN)
-        x, errors = free.near(fitted), np.zeros(len(page.lines))
-        trials = []
-        for factor in SPEEDS:  # waves as long, of other frequencies
-            shifted = x + _scaled(free, dict.fromkeys("xy", factor)) - _scaled(free, {})
-            shifted[free.index("speed")] = np.log(factor)
-            trials.append(np.clip(shifted, *free.limits))
-        sd = free.deviations(errors)
-        costs = [float(np.sum(free.whitened(each, sd) ** 2)) for each in free.simulate(trials)]
-        tried = (fit(free, trials[int(i)], BEGIN, errors=errors) for i in np.argsort(costs)[:TRIED])
-        page, fitted = free, min(tried, key=lambda each: each.cost)
-        shown = _shown(fitted)
-    sd = np.sqrt(np.diag(_covariance(fitted)))
-    values = page.values(fitted.values)
-    found = {each.name: lognormal(values[each.name], float(s)) for each, s in zip(page.numbers, sd, strict=True)}
-    speed = found.get("speed", lognormal(1.0, 0.0))
+    if shown.doubt <= DOUBTFUL and shown.gain >= LEAST_GAIN:
+        return
+    free = _Page(page.machine, page.lines, page.width_mm, conditions=OVERRIDDEN)
+    x, errors, trials = free.near(fitted), np.zeros(len(page.lines)), list[FloatArray]()
+    for factor in SPEEDS:  # waves as long, of other frequencies
+        shifted = x + _scaled(free, dict.fromkeys("xy", factor)) - _scaled(free, {})
+        shifted[free.index("speed")] = np.log(factor)
+        trials.append(np.clip(shifted, *free.limits))
+    sd = free.deviations(errors)
+    costs = [float(np.sum(free.whitened(each, sd) ** 2)) for each in free.simulate(trials)]
+    tried = (fit(free, trials[int(i)], BEGIN, errors=errors) for i in np.argsort(costs)[:TRIED])
+    fitted = min(tried, key=lambda each: each.cost)
+    shown = _shown(fitted)
+    sds = np.sqrt(np.diag(_covariance(fitted))).tolist()
+    each = zip(free.numbers, fitted.values.tolist(), sds, strict=True)
+    found = {number.name: lognormal(number.value(x), spread) for number, x, spread in each}
+    speed = found["speed"]
     weak = {axis: found[f"ring_{axis}"] for axis in "xy" if found[f"ring_{axis}"].high < SAME_RING}
     enough = shown.gain >= LEAST_GAIN and shown.unexplained < MOST_UNEXPLAINED
     if enough and abs(np.log(speed.value)) > SAME_SPEED and not speed.low <= 1.0 <= speed.high:

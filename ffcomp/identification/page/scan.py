@@ -12,7 +12,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
-from ffcomp.identification.page.fit import SCALE, STRONG, PageFit, fit_page, machine_unknowns
+from ffcomp.identification.page.fit import SAME_RING, SCALE, STRONG, PageFit, fit_page, machine_unknowns
 from ffcomp.identification.page.lines import read_lines
 from ffcomp.identification.page.picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
@@ -160,7 +160,7 @@ def _advice(start: Machine, result: PageFit) -> list[str]:
         ring, share = result.bead[f"ring_{axis}"], result.bead.get(f"second_{axis}")
         if share is not None and axis not in result.second:
             ring = Estimate(1.0 + share.value, share.sd, 1.0 + share.low, 1.0 + share.high)
-        if ring.low > 1.0 + STRONG:
+        if ring.low > 1.0 + STRONG or ring.high < SAME_RING:
             sentences.append(
                 f"{axis} rings {ring.value:.2f} times ({ring.low:.2f} to {ring.high:.2f}) as much as the file's modes "
                 "would: it has another, quicker mode, which is strong and hardly shows on the page. Measure it with an "
