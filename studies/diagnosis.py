@@ -179,7 +179,7 @@ def case(folder: Path, out: Path) -> None:
     try:
         found = diagnose(runs, folder / "machine.toml", better)
     except FfcompError as error:
-        _write(out.with_suffix(".json"), {"verdict": "failed", "why": str(error)})
+        _write(out.with_suffix(".json"), {"verdict": "failed", "why": str(error).replace(f"{folder}/", "")})
         return
     took = time.process_time() - began
     tried = [{"effects": list(h.names), "evidence": h.fit.evidence, "left": h.discrepancy} for h in found.search.tried]

@@ -216,7 +216,7 @@ def numbers(judged: Sequence[Judged]) -> list[NumberError]:
 
 
 def _numbers_of(j: Judged) -> Iterator[NumberError]:
-    told = {effect["name"]: effect["parameters"] for effect in j.verdict["effects"]}
+    told = {effect["name"]: effect["parameters"] for effect in j.verdict.get("effects", [])}
     also = {} if "guide_damping" in j.label.effects else {k: x for k, x in j.label.also.items() if k in told}
     for name, table in {**j.label.effects, **also}.items():
         for key, true in table.items():
