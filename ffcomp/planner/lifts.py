@@ -50,8 +50,8 @@ def even_wipes(e: FloatArray, vertices: FloatArray, known: BoolArray) -> None:
         begin = max(end, begin + 1)
 
 
-STRAIGHT_MM = 5e-3  # from the straight line between its ends, at most
-STEEP = 2.0  # times as far in Z as in XY, in every part
+STRAIGHT_MM = 0.02  # from the straight line between its ends, at most
+STEEP = 1.0  # times as far in Z as in XY, in every part
 FEWEST = 2  # parts
 
 
