@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -54,14 +55,22 @@ class Evaluator:
     """
 
     def __init__(self, plant: Machine, rate_hz: float, gravity: bool = True) -> None:
-        self._plant, self._gravity = plant, gravity
+        self._plant, self._rate_hz, self._gravity = plant, rate_hz, gravity
         self._every = max(1, round(rate_hz / EVALUATED_HZ))
         self._sample_s = self._every / rate_hz
         self._parts: dict[CommandSection, list[tuple[FloatArray, FloatArray]]] = {}  # times and nozzle of its chunks
         self._skip = 0  # samples until the next that is kept
+        self.rows = 0  # samples so far
 
-    def add(self, chunk: PlayedPart) -> None:
-        """Take the next chunk in."""
+    def over(self, chunks: Iterable[PlayedPart], progress: Callable[[float], None]) -> Iterator[PlayedPart]:
+        """Yield the same chunks, and take them in."""
+        for chunk in chunks:
+            self._add(chunk)
+            yield chunk
+            self.rows += len(chunk.t_s)
+            progress(self.rows / self._rate_hz)
+
+    def _add(self, chunk: PlayedPart) -> None:
         if chunk.section not in self._parts:
             self._parts[chunk.section], self._skip = [], 0
         kept = slice(self._skip, None, self._every)
@@ -76,7 +85,7 @@ class Evaluator:
         return seconds > (FEWEST_SAMPLES + sections) * self._sample_s
 
     def evaluation(self) -> Evaluation:
-        """Evaluate everything that was added."""
+        """Evaluate all chunks."""
         times: list[FloatArray] = []
         nozzles: list[FloatArray] = []
         contours: list[FloatArray] = []
@@ -256,16 +265,8 @@ def simulate_command(
     if not evaluator.enough(len(parts), simulated_s):
         part = f"from {request.from_s:g} to {request.to_s:g} s, {simulated_s:g} s of motion are too few"
         raise NothingToDo(f"{path}: {part} to simulate; the motion ends at {command.sections[-1].end_s:.3f} s.")
-    rows = 0
-
-    def evaluated() -> Iterator[PlayedPart]:
-        nonlocal rows
-        for chunk in play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity):
-            evaluator.add(chunk)
-            yield chunk
-            rows += len(chunk.t_s)
-            request.progress(rows / request.rate_hz)
-
+    played = play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity)
+    chunks = evaluator.over(played, request.progress)
     comments = {
         "made by": f"ffcomp v{__version__} simulate",
         "command": Path(path).name,
@@ -276,22 +277,20 @@ def simulate_command(
     }
     try:
         if target is None:
-            for _ in evaluated():
-                pass
+            deque(chunks, maxlen=0)
         else:
-            replace_atomically(target, recording_lines(evaluated(), plant, comments, request.signals))
+            replace_atomically(target, recording_lines(chunks, plant, comments, request.signals))
     except UnreachableError as error:
         raise GcodeError(str(error), path=path) from error
-    evaluation, seconds = vars(evaluator.evaluation()), time.perf_counter() - started
     return Simulation(
-        **evaluation,
+        **vars(evaluator.evaluation()),
         machine=machine,
         plant=plant,
         request=request,
         reference=command.reference,
         simulated_s=simulated_s,
-        seconds=seconds,
-        rows=rows,
+        seconds=time.perf_counter() - started,
+        rows=evaluator.rows,
         path=path,
         recording=target,
         warnings=warnings,

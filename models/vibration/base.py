@@ -205,9 +205,16 @@ class VibrationModel(ABC):
         """Return the nozzle's motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
         return np.tile(self.state_space(xy[:1]).carriage[:, ::2], (len(xy), 1, 1))
 
-    @abstractmethod
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ (3,) s and C (n, 3, 3) s² of G⁻¹(s) = I + τ s + C s² + …, at positions (n, 2) mm."""
+        """Return τ (3,) s and C (n, 3, 3) s² of G⁻¹(s) = I + τ s + C s² + …, at positions (n, 2) mm.
+
+        With (s I − A)⁻¹ = −A⁻¹ − s A⁻² − s² A⁻³ …, G = I + G₁ s + G₂ s² + …, and its inverse has −G₁ and G₁² − G₂.
+        """
+        plant = self.state_space(xy)
+        back = np.linalg.inv(plant.a)
+        first = back @ (-back @ plant.b_command - plant.b_slope)
+        g1, g2 = plant.carriage @ first, plant.carriage @ (back @ first)
+        return -np.diagonal(g1[0]), g1 @ g1 - g2
 
     def equilibrium(self, q: FloatArray) -> FloatArray:
         """Return the state at rest with the actuators at (3,) mm."""

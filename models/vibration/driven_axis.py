@@ -229,18 +229,6 @@ class DrivenAxis(VibrationModel):
         names = ("pos", "vel", "pos_load", "vel_load")[:n]
         return StateSpace(a, command, slope, slope, last, names).everywhere(len(xy))
 
-    def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + …; ValueError for a force input."""
-        if self.by_force:
-            raise ValueError("This axis is driven by a force, so it follows no commanded position.")
-        tau, bend = np.zeros(3), np.zeros((3, 3))
-        k, c, b = self.spring_n_per_m, self.spring_damping, self.ground_damping
-        tau[0] = b / k
-        bend[0, 0] = self.moved_kg / k - c * b / k**2
-        if self.load_mass_kg:
-            bend[0, 0] += self.load_mass_kg / (self.coupling_stiffness_n_per_m or np.inf)
-        return tau, np.tile(bend, (len(xy), 1, 1))
-
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         return np.tile([float(q[0]), float(qd[0])], 2 if self.load_mass_kg else 1)

@@ -323,15 +323,6 @@ class ModalAxes(VibrationModel):
         axes = np.array([axis for axis, _, _ in each])
         return StateSpace(a, command, slope, slope, carriage, names, oscillators=axes).everywhere(len(xy))
 
-    def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ and C: the sums' series at s = 0, turned over."""
-        tau, bend = np.zeros(3), np.zeros(3)
-        for axis, _, o in self._each():
-            lag = o.damping / o.stiffness
-            tau[axis] += o.share * lag
-            bend[axis] += o.share * (1.0 / o.stiffness - lag * (o.belt_damping / o.stiffness + lag))
-        return tau, np.tile(np.diag(bend + tau**2), (len(xy), 1, 1))
-
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         tau, _ = self.low_frequency(np.zeros((1, 2)))
