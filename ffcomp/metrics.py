@@ -165,9 +165,7 @@ def _offset(path: FloatArray, k: int, x: float, y: float, z: float) -> tuple[flo
 # ---- tracking ------------------------------------------------------------------------------------
 
 
-def tracking(
-    reference: FloatArray, actual: FloatArray, dt: float, longest_delay_s: float = LONGEST_DELAY_S
-) -> Tracking:
+def tracking(reference: FloatArray, actual: FloatArray, dt: float) -> Tracking:
     """Return tracking errors of two motions sampled every dt, and the constant delay that explains most of them.
 
     The delay τ minimises the mean of |actual(t) - reference(t - τ)|², continuously: the reference is interpolated by
@@ -179,7 +177,6 @@ def tracking(
         In mm, m ≥ 4.
     dt : float
         In s.
-    longest_delay_s : float
 
     Raises
     ------
@@ -191,16 +188,16 @@ def tracking(
     reference, actual = np.ascontiguousarray(reference), np.ascontiguousarray(actual)
     distance2 = np.sum((actual - reference) ** 2, axis=1)
     now = float(np.mean(distance2))
-    delay = _best_delay(reference, actual, dt, longest_delay_s)
+    delay = _best_delay(reference, actual, dt)
     then = _mean_square(reference, actual, delay / dt, 1)
     if then >= now:  # nothing moves, or no delay helps
         delay, then = 0.0, now
     return Tracking(float(np.sqrt(now)), float(np.sqrt(np.max(distance2))), delay, float(np.sqrt(then)))
 
 
-def _best_delay(reference: FloatArray, actual: FloatArray, dt: float, longest: float) -> float:
+def _best_delay(reference: FloatArray, actual: FloatArray, dt: float) -> float:
     """Find the valley by a scan in milliseconds on some samples, then its floor by narrowing parabolas on all."""
-    some = 1 + len(reference) // SCAN_SAMPLES
+    some, longest = 1 + len(reference) // SCAN_SAMPLES, LONGEST_DELAY_S
     grid = np.linspace(-longest, longest, 2 * max(1, round(longest / 1e-3)) + 1)
     delay = float(grid[np.argmin([_mean_square(reference, actual, tau / dt, some) for tau in grid])])
     for width in float(grid[1] - grid[0]) * PARABOLAS:

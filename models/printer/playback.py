@@ -1,12 +1,11 @@
 """Play long commands: whole prints chunk by chunk with one chunk in memory, and sections of a print in windows.
 
-Printers, or windows, run in the lanes of the processor's vectors, and groups of them in threads.
+Printers, or windows, run in the lanes of the processor's vectors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -33,7 +32,6 @@ def play(
     hold: Hold = "cubic",
     gravity: bool = True,
     chunk_rows: int = CHUNK_ROWS,
-    threads: int = 1,
     substeps: int | None = None,
 ) -> Iterator[tuple[int, list[PrinterMotion]]]:
     """Play one command on every machine, or on each its own, from rest.
@@ -60,25 +58,17 @@ def play(
     each = [rows] if callable(rows) else list(rows)
     if len(each) > 1 and ahead:
         raise ValueError("Several commands are played with a linear hold only.")
-    groups = max(-(-len(machines) // LANES), min(threads, len(machines)))
-    parts = [part.tolist() for part in np.array_split(np.arange(len(machines)), groups)]
+    how: Any = {"substeps": substeps, "gravity": gravity, "hold": hold}
     states: list[PrinterState] | None = None
-
-    def advance(part: Sequence[int]) -> list[PrinterMotion]:
-        given = [machines[i] for i in part], [commands[i % len(commands)] for i in part], row_s
-        starts = None if states is None else [states[i] for i in part]
-        how: Any = {"starts": starts, "substeps": substeps, "gravity": gravity, "hold": hold, "ahead": coming}
-        return [played(motion) for motion in simulate_printers(*given, **how)]
-
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
-        for first in range(0, count - 1, chunk_rows):
-            last = min(first + chunk_rows + 1, count)
-            both = [one(first, last + ahead) for one in each]
-            commands, coming = [one[: last - first] for one in both], both[0][last - first :]
-            run = pool.map if threads > 1 and len(parts) > 1 else map
-            motions = [motion for group in run(advance, parts) for motion in group]
-            states = [motion.state for motion in motions]
-            yield first, motions
+    for first in range(0, count - 1, chunk_rows):
+        last = min(first + chunk_rows + 1, count)
+        both = [one(first, last + ahead) for one in each]
+        own, coming = [one[: last - first] for one in both], both[0][last - first :]
+        commands = own * (len(machines) // len(own))
+        each_motion = simulate_printers(machines, commands, row_s, starts=states, ahead=coming, **how)
+        motions = [played(motion) for motion in each_motion]
+        states = [motion.state for motion in motions]
+        yield first, motions
 
 
 Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
