@@ -352,7 +352,7 @@ class GcodeRenderer:
         if isinstance(line, int):
             return (self._original(line),)
         if isinstance(line, float):
-            return self._ours(self.firmware.paced(line, self._file_limits()))
+            return self._ours(self.firmware.paced(line, self.program.frames[self.frame].unit_mm))
         return (line,) if isinstance(line, bytes) else self.event(line)
 
     def _file_limits(self) -> FileLimits:

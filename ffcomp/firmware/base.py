@@ -263,7 +263,7 @@ class Segments:
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, self.raised)
         return speeds.cruise, np.full(len(lasting), inf), speeds
 
-    def paced(self, motors_mm_per_s: float, file: FileLimits) -> list[bytes]:
+    def paced(self, motors_mm_per_s: float, unit_mm: float) -> list[bytes]:
         """Return the lines that set a limit of the motors; inf: that of the header."""
         return []
 

@@ -218,10 +218,10 @@ class MarlinSegments(Segments):
         acceleration = np.full(len(mm), self.raised.acceleration_mm_per_s2)
         return feed, most, SegmentSpeeds(played, junction, acceleration, executed)
 
-    def paced(self, motors_mm_per_s: float, file: FileLimits) -> list[bytes]:
+    def paced(self, motors_mm_per_s: float, unit_mm: float) -> list[bytes]:
         """Return M203 of the motors."""
         most = min(motors_mm_per_s, self.raised.velocity_mm_per_s)
-        return limit_lines(MARLIN, [LimitCommand("M203", dict.fromkeys("XYZ", most))], file.unit_mm)
+        return limit_lines(MARLIN, [LimitCommand("M203", dict.fromkeys("XYZ", most))], unit_mm)
 
     def _durations(
         self, motors: FloatArray, length: FloatArray, feed: FloatArray, settings: Singles, filament: Filament | None
