@@ -160,7 +160,9 @@ def load_of(p: AxisParameters, samples: FloatArray) -> float:
 def with_stable_friction(p: AxisParameters, step_s: float) -> AxisParameters:
     """Return the parameters with friction that the step resolves: dry friction does not overshoot rest."""
     presliding = max(p.presliding, p.bristle_force * (step_s / MOST_RAD) ** 2 / p.mass)
-    return p._replace(creep_per_n=step_s / (STEEPEST * p.mass), presliding=presliding, bending=RELAXED / step_s)
+    per_n = step_s / (STEEPEST * p.mass)
+    creep = max(p.creep, per_n * (p.dry + p.sticking))
+    return p._replace(creep=creep, creep_per_n=per_n, presliding=presliding, bending=RELAXED / step_s)
 
 
 def substeps_of(p: AxisParameters, dt_s: float, step_rad: float = STEP_RAD, load_n: float = 0.0) -> int:

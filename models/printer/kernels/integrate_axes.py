@@ -36,7 +36,8 @@ def _integrate(
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
     h, straight, springs, swaying = dt / substeps, not has.delay, has_springs(m), axes.sways(m)
-    page, samples = np.empty((PAGE, 7, WIDTH)), _samples(len(states), rows.max(), swaying)
+    page, each = np.empty((PAGE, 7, WIDTH)), empty_samples(len(states), rows.max())
+    samples = each if swaying else (*each[3:6], *each[3:])  # where nothing sways, carriages move as the nozzle does
     copied = ZERO if swaying else THREE  # the first of the quantities that are not those of another
     for n in range(rows.max()):
         for l in range(len(states)):
@@ -59,13 +60,6 @@ def _integrate(
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
             copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples, copied)
     return samples
-
-
-@compiled
-def _samples(k: int, rows: int, swaying: bool) -> tuple[FloatArray, ...]:
-    """Allocate what `integrate_axes` returns; where nothing sways, carriages move as the nozzle does."""
-    samples = empty_samples(k, rows)
-    return samples if swaying else (*samples[3:6], *samples[3:])
 
 
 @compiled

@@ -100,11 +100,13 @@ def _resistance(
     force = p.damping * v + 0.5 * p.by_direction * abs(v) + p.drag * v * abs(v) + held
     strained = bending = 0.0
     if p.dry + p.sticking + p.load_share > 0.0:
-        level = p.dry
+        level, creep = p.dry, p.creep
         if p.sticking > 0.0:
             level = sliding_level(p.dry, p.sticking, ((v * p.fading) ** 2) ** p.fading_power)
-        level += p.load_share * (abs(drive) + p.held_share * abs(held))
-        ratio = v / max(p.creep, p.creep_per_n * level)
+        if p.load_share > 0.0:
+            level += p.load_share * (abs(drive) + p.held_share * abs(held))
+            creep = max(creep, p.creep_per_n * level)
+        ratio = v / creep
         force += level * math.tanh(ratio + strain)
         strained = strain_rate(p.hold, ratio, abs(ratio), strain)
     if p.bristle_force > 0.0:
