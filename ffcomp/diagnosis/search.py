@@ -65,16 +65,6 @@ class Search:
         """Whether the budget allows to try anything more."""
         return self.estimation.may_go_on
 
-    @property
-    def quick(self) -> EstimationProblem:
-        """The same problem, simulated coarsely."""
-        return replace(self.estimation, coarse=True)
-
-    @property
-    def candidates(self) -> Sequence[Candidate]:
-        """The effects that are looked for."""
-        return self.estimation.problem.candidates
-
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -143,13 +133,14 @@ def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypo
     if not search.may_go_on:
         return []
     part = _loudest(search, h.fit, chosen)
-    others = [c for c in search.candidates if may_join(c.name, h)]
+    others = [c for c in search.estimation.problem.candidates if may_join(c.name, h)]
     return _quick_fits(search, h, screen(part.estimation, part.fit, others), chosen)
 
 
 def _loudest(search: Search, fitted: Fit, chosen: Sequence[int] | None = None) -> Subset:
     """Return the motions that hold most of a fit's residual, or chosen ones, simulated coarsely."""
-    return subset_of(search.quick, fitted, chosen) or Subset(search.quick, fitted)
+    quick = replace(search.estimation, coarse=True)
+    return subset_of(quick, fitted, chosen) or Subset(quick, fitted)
 
 
 def _quick_fits(search: Search, h: Hypothesis, screened: Sequence[Screened], chosen: Sequence[int]) -> list[Hypothesis]:
@@ -316,7 +307,9 @@ def _other_forms(search: Search, h: Hypothesis) -> list[tuple[Candidate, ...]]:
     """Return the effects with one of them in another form, or by another law of its cause."""
     found: list[tuple[Candidate, ...]] = []
     for effect in h.effects:
-        laws = [c for c in search.candidates if CATALOGUE[c.name].cause == CATALOGUE[effect.name].cause]
+        laws = [
+            c for c in search.estimation.problem.candidates if CATALOGUE[c.name].cause == CATALOGUE[effect.name].cause
+        ]
         kinds = [
             form for c in laws for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
         ]
@@ -369,12 +362,19 @@ def _points(h: Hypothesis, shape: Parameter, every: int) -> list[float]:
 def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
     """Leave out of the best hypothesis the effects that it does not need, and fit it with exact derivatives.
 
-    One that leaves too much to be named, even with a rest, stays as it is.
+    Of a law of its family with fewer numbers, too: what quick fits make of the two is no reason for more numbers. One
+    that leaves too much to be named, even with a rest, stays as it is.
     """
     if best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
         search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
         return best
-    return fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
+    best = fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
+    laws = [h for h in likeliest(tried) if h.causes == best.causes and h.effect_count < best.effect_count]
+    for law in (h for h in laws[:1] if comparable(h, best, 2.0, search.settings)):
+        simpler = fit_exactly(search.estimation, law, search.progress)
+        if not significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share):
+            best = simpler
+    return best
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
