@@ -101,7 +101,7 @@ def wrong_scale(
     Below 20 Hz the machine follows its command: a carriage its own, any other sensor a linear combination of all
     three with coefficients of order one, or less: in a plane a sensor of z feels nearly nothing. So too small is only
     a sensor with its own command that moves it. Where a sensor follows none (noise, a command too fast or at rest),
-    nothing is reported.
+    nothing is reported. A wrong unit is a chip's: not that of x where its y has the right size.
 
     Parameters
     ----------
@@ -111,11 +111,15 @@ def wrong_scale(
     """
     low = butter(4, _SCALE_BAND_HZ, fs=rate_hz, output="sos")
     commanded = sosfiltfilt(low, _second_derivative(command * 1e-3, rate_hz), axis=0)
-    gains = {}
+    (lowest, highest), chip_is_right, gains = _PLAUSIBLE_GAIN, False, dict[str, float]()
     for name, values in acceleration.items():
         basis, moves_itself = _moving_with(name.replace("acc", "cmd"), inputs, commanded)
-        gains[name] = _gain(sosfiltfilt(low, np.nan_to_num(values)), basis, _PLAUSIBLE_GAIN[0] if moves_itself else 0.0)
-    wrong = [_too_large(name, gain) for name, gain in gains.items() if gain is not None]
+        gain = _gain(sosfiltfilt(low, np.nan_to_num(values)), basis)
+        if gain >= highest or (moves_itself and gain < lowest):
+            gains[name] = gain
+        elif moves_itself and gain < highest and name[-1] in "xyz":  # axes of one chip; each carriage has its own
+            chip_is_right = True
+    wrong = [_wrong_size(name, gain, chip_is_right and name[-1] in "xyz") for name, gain in gains.items()]
     return (wrong and command_unit(command, inputs)) or wrong
 
 
@@ -127,22 +131,18 @@ def _moving_with(name: str, inputs: Sequence[str], commanded: FloatArray) -> tup
     return (commanded[:, [j]] if alone else commanded), alone
 
 
-def _gain(measured: FloatArray, basis: FloatArray, lowest: float) -> float | None:
-    """Compute how many times as large as its command a sensor is; None where that is plausible, or unclear.
-
-    lowest : least plausible value; 0 if a working sensor may rest under the commands.
-    """
+def _gain(measured: FloatArray, basis: FloatArray) -> float:
+    """Compute how many times as large as its command a sensor is; NaN where that is unclear."""
     coefficients = np.linalg.lstsq(basis, measured, rcond=_SINGULAR)[0]
     explained = float((basis @ coefficients).var()) / max(float(measured.var()), 1e-300)
     gain = float(np.linalg.norm(coefficients))
-    return None if explained < _SCALE_R2 or lowest <= gain < _PLAUSIBLE_GAIN[1] else gain
+    return np.nan if explained < _SCALE_R2 else gain
 
 
-def _too_large(name: str, gain: float) -> str:
-    unit = min(_UNITS, key=lambda each: abs(np.log(_UNITS[each] / gain)))
-    factor = _UNITS[unit]
+def _wrong_size(name: str, gain: float, unit_is_right: bool) -> str:
+    unit, factor = min(_UNITS.items(), key=lambda each: abs(np.log(each[1] / gain)))
     found = f"below {_SCALE_BAND_HZ:g} Hz it is {gain:.3g} times the acceleration commanded, where about 1 is right"
-    if not 1 / _NEAR_UNIT < gain / factor < _NEAR_UNIT:
+    if unit_is_right or not 1 / _NEAR_UNIT < gain / factor < _NEAR_UNIT:
         return (
             f"Column {name}_m_per_s2 does not follow its command: {found}, and no other unit explains that. Check the "
             "sensor's range (it may clip), its axes and its mounting."

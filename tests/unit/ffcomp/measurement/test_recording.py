@@ -10,6 +10,7 @@ import pytest
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import read_axis_run
 from ffcomp.measurement.recording import read_recording
+from ffcomp.measurement.sensors import wrong_scale
 from tests.unit.ffcomp.measurement.conftest import RATE, Written
 
 Columns = dict[str, np.ndarray]
@@ -140,3 +141,15 @@ def test_a_speed_that_comes_through_a_filter_is_left_out_with_its_lag(tmp_path: 
     late_ms = float(run.remarks[0].split("comes ")[1].split(" ms")[0])
     assert late_ms == pytest.approx(8.0, rel=0.03)
     assert "ignored, because the position has the same motion" in run.remarks[0]
+
+
+def test_one_clipped_axis_of_a_chip_is_not_taken_for_another_unit() -> None:
+    t = np.arange(8000) / 1600
+    command = np.sin(2 * np.pi * np.outer(t, [3.0, 5.0, 7.0]))  # mm
+    felt = -1e-3 * (2 * np.pi * np.array([3.0, 5.0, 7.0])) ** 2 * command
+    sensed = {"acc_x": felt[:, 0], "acc_y": felt[:, 1], "acc_z": 0.14 * felt[:, 2]}
+    inputs = ("cmd_x", "cmd_y", "cmd_z")
+    (said,) = wrong_scale(command, inputs, sensed, 1600.0)
+    assert said.startswith("Column acc_z_m_per_s2 does not follow its command") and "it may clip" in said
+    in_g = wrong_scale(command, inputs, {name: values / 9.80665 for name, values in sensed.items()}, 1600.0)
+    assert "in g, not in m/s²" in in_g[0]
