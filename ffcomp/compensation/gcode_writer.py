@@ -285,7 +285,7 @@ class GcodeRenderer:
         points = _stated(points, frame.base, frame.unit_mm)
         ends = np.zeros(len(at), dtype=np.bool_)
         ends[[0, *at.searchsorted([piece.begin, piece.end]), -1]] = True
-        chosen = self.firmware.executed(points, fixed, ends)
+        chosen = self.firmware.executed(points, e, fixed, ends)
         at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
         due, lasting = at * s.segment_s, np.diff(at) * s.segment_s
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))

@@ -237,9 +237,10 @@ class Segments:
         """Return where the firmware ends lines of the file that end at points, (n, 3) mm."""
         return points
 
-    def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
+    def executed(self, points: FloatArray, e: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
         """Return the points (n, 3) mm that may end segments so that the firmware drops none, (m,).
 
+        e : (n,) mm of filament
         fixed : (n,) points that are left out only for another one of them: a line that stood there moves to it
         ends : (n,) points that must stay: another writer, or a rest, continues from there
         """

@@ -1,11 +1,10 @@
 """Marlin: a queue of blocks of whole motor steps (`marlin_planner`), and segments that it executes exactly.
 
 They are long enough in steps, timed by its own queue, within limits of ours. Marlin drops what has fewer steps than
-MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost;
-it cuts a delta's lines that last 10 ms and more by their F, and each part may be too short: M203, which limits the
-motors, sets lower speeds; it slows the first
-lines after a rest (SLOWDOWN, by `M205 B`); it rounds every end to whole steps (`whole_steps`); and one step of the
-filament more or less from segment to segment is a jump of its speed, and E's jerk then slows the path.
+MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost; it cuts a delta's lines that last 10 ms
+and more by their F, and each part may be too short: M203, which limits the motors, sets lower speeds; it slows the
+first lines after a rest (SLOWDOWN, by `M205 B`); it rounds every end to whole steps (`whole_steps`); and one step of
+the filament more or less from segment to segment is a jump of its speed, and E's jerk then slows the path.
 """
 
 from __future__ import annotations
@@ -53,6 +52,7 @@ MOST_FASTER = 4.0  # the highest speed that a sweep may request, by length over 
 LEAST_E_MM = 1e-5  # that a file can state
 FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # filament in a segment; E's jerk must allow this jump of speed
 LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
+ALWAYS = 3  # the rank of a point that must end a segment; 2: the filament turns back there; 1: fixed; 0: any other
 
 
 class Marlin(Firmware):
@@ -180,9 +180,12 @@ class MarlinSegments(Segments):
         """Return the ends of the file's own lines at whole steps."""
         return self.steps.nearest(points)
 
-    def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
-        """Leave out the ends of segments that Marlin would drop."""
-        return _executed(np.rint(self.steps.motors(points)), fixed, ends, self.settings.minimum_steps_per_segment)
+    def executed(self, points: FloatArray, e: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
+        """Leave out the ends of segments that Marlin would drop; where the filament turns back, one stays."""
+        flow, rank = np.diff(e), fixed.astype(np.int64)
+        rank[1:-1] += flow[1:] * flow[:-1] < 0.0
+        rank[ends] = ALWAYS
+        return _executed(np.rint(self.steps.motors(points)), rank, self.settings.minimum_steps_per_segment)
 
     def speeds(
         self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
@@ -298,18 +301,14 @@ def _most(steps: FloatArray, a: int, b: int) -> float:
 
 
 @kernel
-def _executed(steps: FloatArray, edges: BoolArray, ends: BoolArray, minimum: int) -> IntArray:
+def _executed(steps: FloatArray, rank: IntArray, minimum: int) -> IntArray:
+    """Of two points too near each other, keep the one of higher rank, or the first."""
     n = len(steps)
-    kept = np.empty(n, dtype=np.int64)
-    kept[0] = 0
-    count = 1
+    kept, count = np.zeros(n, dtype=np.int64), 1
     for k in range(1, n):
-        while count > 1 and _most(steps, kept[count - 1], k) < minimum:
-            last = kept[count - 1]
-            if not (edges[k] or ends[k]) or ends[last] or (edges[last] and not ends[k]):
-                break
+        while count > 1 and rank[k] > rank[kept[count - 1]] and _most(steps, kept[count - 1], k) < minimum:
             count -= 1
-        if ends[k] or _most(steps, kept[count - 1], k) >= minimum:
+        if rank[k] == ALWAYS or _most(steps, kept[count - 1], k) >= minimum:
             kept[count] = k
             count += 1
     return kept[:count].copy()
