@@ -157,9 +157,9 @@ def _modes(axes: Axes, modes: Sequence[Mode]) -> None:
         axes.vlines(hz, 0.0, 100 * damping, color=colour, linewidth=1.5)
         axes.plot([low, high], [100 * damping] * 2, color=colour, linewidth=3, alpha=0.4)
         axes.plot(hz, 100 * damping, "o", color=colour, markersize=6)
-        axes.annotate(f"{hz:.1f} Hz", (hz, 100 * damping), (0, 6), textcoords="offset points", ha="center", fontsize=8)
-    for name in names:
-        axes.plot([], [], "o", color=(AFTER, *COLOURS[1:])[names.index(name) % len(COLOURS)], label=name)
+    for k, name in enumerate(names):
+        label = f"{name}: {', '.join(f'{hz:.1f}' for hz, *_, each in modes if each == name)} Hz"
+        axes.plot([], [], "o", color=(AFTER, *COLOURS[1:])[k % len(COLOURS)], label=label)
     axes.set(xlabel="frequency, Hz", ylabel="damping ratio, %", title="Modes")
     axes.set_ylim(0.0, 130 * max((damping for *_, damping, _ in modes), default=0.1))
     axes.margins(x=0.15)
