@@ -14,12 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, limits_of, solved, values_at
 from ffcomp.diagnosis.held_out import beyond_noise, left_out, motions_or_groups
 from ffcomp.diagnosis.hypotheses import (
     Hypothesis,
@@ -295,12 +294,24 @@ def _richer(search: Search, h: Hypothesis) -> list[Hypothesis]:
 
 
 def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, Hypothesis]:
-    """Return where a fit in another form begins, and what is left of |r|² + φ|z|² there, retuned to first order."""
-    tries = _placed(start, h)
-    points = [values_at(start.fit.parameters, z) for z in tries]
-    costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
-    least = int(np.argmin(costs))
-    return costs[least], replace(start, fit=replace(start.fit, z=tries[least]))
+    """Return where a fit in another form begins, and what is left of |r|² + φ|z|² there, retuned to first order.
+
+    Its new numbers are set one after the other, each where it helps most: sizes together, then each shape.
+    """
+    parameters, z, cost = start.fit.parameters, start.fit.z, np.inf
+    new = [i for i, n in enumerate(parameters) if carried_over(h.fit.values, n.name) is None]
+    sizes = [i for i in new if parameters[i].name in {n.name for c in start.effects for n in c.amplitudes}]
+    shapes = [([i], _points(start, parameters[i])) for i in new if i not in sizes]
+    for which, points in [(sizes, ADDED_SIZES if sizes else (0.0,)), *shapes]:
+        tries = np.repeat(z[None], len(points), axis=0)
+        tries[:, which] = np.array(points)[:, None]
+        tries = np.clip(tries, *limits_of(parameters))
+        costs = [
+            _retuned_cost(part.fit, r) for r in part.estimation.residuals([values_at(parameters, x) for x in tries])
+        ]
+        if min(costs) < cost:
+            z, cost = tries[int(np.argmin(costs))], min(costs)
+    return cost, replace(start, fit=replace(start.fit, z=z))
 
 
 def _other_forms(search: Search, h: Hypothesis) -> list[tuple[Candidate, ...]]:
@@ -333,27 +344,10 @@ def _mapped(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
     return Hypothesis(effects, replace(h.fit, parameters=parameters, z=z, jacobian=unknown))
 
 
-def _placed(start: Hypothesis, h: Hypothesis) -> list[FloatArray]:
-    """Return starts z (p,) for the new numbers of a form: sizes and shapes, on a grid."""
-    new = [i for i, n in enumerate(start.fit.parameters) if carried_over(h.fit.values, n.name) is None]
-    sizes = {n.name for c in start.effects for n in c.amplitudes}
-    amplitudes = [i for i in new if start.fit.parameters[i].name in sizes]
-    shapes = [i for i in new if i not in amplitudes]
-    every = 1 if len(shapes) < 3 else 2  # of many shapes together, fewer points
-    points = [_points(start, start.fit.parameters[i], every) for i in shapes]
-    tries = []
-    for size, shape in product(ADDED_SIZES if amplitudes else (0.0,), product(*points)):
-        z = start.fit.z.copy()
-        z[amplitudes] = size
-        z[shapes] = shape
-        tries.append(clipped(start.fit.parameters, z))
-    return _distinct(tries)
-
-
-def _points(h: Hypothesis, shape: Parameter, every: int) -> list[float]:
+def _points(h: Hypothesis, shape: Parameter) -> Sequence[float]:
     """Return the z of a new shape where a fit may begin: where a search for the effect does, or from the usual on."""
     searched = {point[shape.name] for c in h.effects for point in c.grid if shape.name in point}
-    return [(x - shape.start) / shape.sd for x in sorted(searched)] or list(SHIFTS[::every])
+    return [(x - shape.start) / shape.sd for x in sorted(searched)] or SHIFTS
 
 
 # ---- finish --------------------------------------------------------------------------------------
