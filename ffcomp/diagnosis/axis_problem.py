@@ -89,8 +89,8 @@ class AxisProblem(Problem):
         if not self.commanded:  # the zero of a measured force may be off, and no file states when in a sample it acts
             axis, late = driven_axis(machine), HELD / min(run.sample_rate_hz for run in runs)
             self.parameters += (
-                Parameter(OFFSET, axis.offset_n, FORCE_OFFSET * scales.force_n),
-                Parameter(LATENESS, axis.drive.delay_s, late),
+                Parameter.near(OFFSET, axis.offset_n, FORCE_OFFSET * scales.force_n),
+                Parameter.near(LATENESS, axis.drive.delay_s, late),
             )
         signals = sorted({name for run in runs for name in run.signals})
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
