@@ -47,21 +47,12 @@ def _straight(machine: Machine, response: FrequencyResponse, s: ComplexArray) ->
     """Of axes that do not disturb each other; their carriages are the axes themselves."""
     if response.setup != "assembly" or not response.input.startswith("cmd_"):
         _refuse(response, f"The axes answer commands, such as cmd_x; {response.input!r} ({response.setup}) is none.")
-    commanded, answers = (_axis(response, name[-1]) for name in (response.input, response.output))
+    commanded, answers = ((CARRIAGES + AXES).index(name[-1]) % 3 for name in (response.input, response.output))
     return machine.vibration.carriage_response(np.zeros(2), s)[:, answers, commanded]
 
 
-def _axis(response: FrequencyResponse, letter: str) -> int:
-    if letter not in CARRIAGES + AXES:
-        _refuse(response, f"There is no axis {letter!r}.")
-    return (CARRIAGES + AXES).index(letter) % 3
-
-
 def _differentiated(response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
-    kind = response.output.split("_")[0]
-    if kind not in ("pos", "acc"):
-        _refuse(response, f"The output is {response.output!r}; it must begin with 'pos_' or 'acc_'.")
-    return s**2 if kind == "acc" else np.ones_like(s)
+    return s**2 if response.output.startswith("acc_") else np.ones_like(s)
 
 
 def _carriage(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
@@ -92,26 +83,21 @@ class _Assembly:
     gamma: FloatArray  # (3, 3)
 
     def response(self, measured: FrequencyResponse) -> ComplexArray:
-        left = self._carriages_of(measured, measured.output.split("_", 1)[1])
+        left = self._carriages_of(measured.output.split("_", 1)[1])
         right, factor = self._force_of(measured)
         return np.asarray(np.einsum("i,kij,j->k", left, self.compliance, right) * factor)
 
-    def _carriages_of(self, measured: FrequencyResponse, name: str) -> FloatArray:
+    def _carriages_of(self, name: str) -> FloatArray:
         """Row that makes the output of the carriages' positions."""
-        if name in CARRIAGES:
-            return np.eye(3)[CARRIAGES.index(name)]
-        if name in AXES:
-            return self.j[AXES.index(name)]
-        _refuse(measured, f"There is no carriage or axis {name!r}.")
+        return np.eye(3)[CARRIAGES.index(name)] if name in CARRIAGES else self.j[AXES.index(name)]
 
     def _force_of(self, measured: FrequencyResponse) -> tuple[FloatArray, ComplexArray | float]:
         """Column of forces on the carriages, and what it is multiplied by."""
         kind, _, name = measured.input.partition("_")
-        if kind == "cmd" and name in CARRIAGES:
-            return np.eye(3)[CARRIAGES.index(name)], self.drive
-        if kind == "cmd" and name in AXES:
-            return np.asarray(np.linalg.inv(self.j)[:, AXES.index(name)]), self.drive
-        if kind == "force" and name in AXES:
+        if kind == "cmd":
+            to_carriages = np.eye(3) if name in CARRIAGES else np.linalg.inv(self.j)
+            return np.asarray(to_carriages[:, (CARRIAGES + AXES).index(name) % 3]), self.drive
+        if name in AXES:
             return self.gamma[:, AXES.index(name)], 1.0
         _refuse(measured, f"There is no input {measured.input!r}; there are cmd_A, cmd_x, force_x and their like.")
 

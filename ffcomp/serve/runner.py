@@ -287,9 +287,8 @@ def _environment(events: Path) -> dict[str, str]:
 
 def _be_nice(pid: int) -> None:
     """Lower the priority, and let this process be the first to end when memory runs out."""
-    if hasattr(os, "setpriority"):
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, pid, NICENESS)
+    with suppress(OSError, AttributeError):  # Windows has no such function
+        os.setpriority(os.PRIO_PROCESS, pid, NICENESS)
     with suppress(OSError):
         Path(f"/proc/{pid}/oom_score_adj").write_text(OOM_SCORE, encoding="ascii")
 
@@ -306,10 +305,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 def _signal(pid: int, number: int) -> None:
     with suppress(OSError):
-        if hasattr(os, "killpg"):
-            os.killpg(pid, number)
-        else:
-            os.kill(pid, number)
+        getattr(os, "killpg", os.kill)(pid, number)  # Windows has no groups
 
 
 def _end_left_over(pid: int, place: str) -> None:

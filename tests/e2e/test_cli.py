@@ -145,17 +145,6 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
     assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
 
 
-def test_a_bound_that_is_not_kept_is_told_and_refused(printed: Path, tmp_path: Path) -> None:
-    """A feature that keeps its speed cannot keep a tenth of a micrometre: a warning says so, exit 6 if strict."""
-    bound = ("--max-error-um", "0.1", "--keep-speed", "other", "-o", tmp_path / "out.gcode")
-    answer = call(printed, "-m", MACHINE, "--json", "-q", *bound)
-    assert answer.exit_code == 0
-    (said,) = (line for line in json.loads(answer.stdout)["warnings"] if "is not held" in line)
-    assert said.startswith("The bound of 0.1 µm is not held: for 99 % of the time the predicted error is below 2.")
-    refused = call(printed, "-m", MACHINE, "--strict", *bound)
-    assert refused.exit_code == 6 and "is not held" in refused.stderr
-
-
 # ---- interrupt ----
 
 

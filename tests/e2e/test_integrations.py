@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import configparser
-import importlib.util
 import json
 import shlex
 import sys
@@ -15,7 +14,7 @@ from typing import Any
 import pytest
 
 from ffcomp import __version__
-from ffcomp.integrations.recipes import RECIPES, wrapper
+from ffcomp.integrations.recipes import HERE, RECIPES, Recipe, wrapper
 from gcode.embedded import already_processed, original
 from tests.support.moonraker import metadata, thumbnail
 
@@ -33,14 +32,11 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-def loaded(name: str, text: str, folder: Path) -> ModuleType:
-    """A wrapper, from the file that is installed."""
-    path = folder / f"{name.rpartition('.')[2]}.py"
-    path.write_text(text, encoding="utf-8")
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+def loaded(name: str, recipe: Recipe, machine: str, program: str) -> ModuleType:
+    """A wrapper as it is installed; its lines are those of the file that it is made from."""
+    module = ModuleType(name)
+    module.__package__ = name.rpartition(".")[0]
+    exec(compile(wrapper(recipe, machine, program), HERE / recipe.wrapper, "exec"), vars(module))
     return module
 
 
@@ -111,8 +107,7 @@ def cura_script(
     stand_in(monkeypatch, "PostProcessingPlugin", __path__=[])
     stand_in(monkeypatch, "PostProcessingPlugin.PostProcessingPlugin", __path__=[])
     stand_in(monkeypatch, "PostProcessingPlugin.Script", Script=Script)
-    text = wrapper(RECIPES["cura"], "kossel", program)
-    return loaded("PostProcessingPlugin.PostProcessingPlugin.Ffcomp", text, tmp_path)
+    return loaded("PostProcessingPlugin.PostProcessingPlugin.Ffcomp", RECIPES["cura"], "kossel", program)
 
 
 @pytest.fixture
@@ -192,7 +187,7 @@ class Config:
 @pytest.fixture
 def moonraker(tmp_path: Path, program: str) -> Callable[[str], dict[str, Any]]:
     """The processor that a section of moonraker.conf registers."""
-    component = loaded("ffcomp", wrapper(RECIPES["moonraker"], "", program), tmp_path)
+    component = loaded("ffcomp", RECIPES["moonraker"], "", program)
 
     def processor(section: str) -> dict[str, Any]:
         registered: dict[str, Any] = {}

@@ -113,6 +113,37 @@ def test_a_configuration_reads_no_other_file_of_the_server(name: str, line: str,
     assert "nly this file is read" in told
 
 
+@pytest.mark.parametrize(
+    ("path", "asked", "status", "words"),
+    [
+        ("/api/jobs", {"kind": "compensate"}, 400, "needs a file"),
+        ("/api/jobs", {"kind": "compensate", "files": "a"}, 400, "must be a list"),
+        ("/api/jobs", {"kind": "import", "files": 2}, 400, "one file at a time"),
+        ("/api/jobs", {"kind": "diagnose", "files": 2, "machine": "kossel"}, 400, "the same name"),
+        ("/api/jobs", {"kind": "diagnose", "files": 1, "machine": "none-such"}, 400, "no machine 'none-such'"),
+        ("/api/jobs", {"kind": "diagnose", "files": 1, "machine": "kossel", "name": "m.json"}, 400, "not dropped"),
+        ("/api/jobs", {"kind": "plan", "machine": "kossel", "options": []}, 400, "must be an object"),
+        ("/api/jobs", ["no", "object"], 400, "not a JSON object"),
+        ("/api/jobs", {"kind": "x" * 70_000}, 413, "too large"),
+        ("/api/jobs/{id}/dance", {}, 404, "no such action"),
+        ("/api/jobs/0123456789abcdef/again", {}, 404, "no such job"),
+        ("/api/jobs/{id}/keep", {"name": "../x"}, 400, "letters, digits"),
+        ("/api/jobs/{id}/keep", {"name": "kossel"}, 409, "already"),
+        ("/api/files?name=a.gcode", None, 400, "a.gcode is empty"),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_answered_with_a_sentence(
+    path: str, asked: Any, status: int, words: str, page: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", ("false",))
+    id_ = started(page, "plan", machine="kossel")
+    if isinstance(asked, dict) and isinstance(asked.get("files"), int):
+        name = asked.get("name", "a.csv")
+        asked = {**asked, "files": [uploaded(page, name, b"1\n") for _ in range(asked["files"])]}
+    answer = page.post(path.format(id=id_), **({} if asked is None else {"json": asked}))
+    assert answer.status_code == status and words in answer.json()["error"]
+
+
 def resident_mb(status: Path) -> float:
     """Largest memory that a process has had, MB."""
     line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))

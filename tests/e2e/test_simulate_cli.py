@@ -103,30 +103,6 @@ def test_gap_finds_nothing_but_what_is_hidden(square: Path, tmp_path: Path) -> N
     assert hidden > 0.02
 
 
-@pytest.mark.parametrize(
-    ("machine", "effect"),
-    [
-        ("ender-3", "[effects.coulomb_friction]\nforce_n_per_kg = 2.0"),
-        ("voron-250", "[effects.belt_stiffness]\nrelative_change = [0.3, -0.1, 0.0]"),
-    ],
-    ids=["dry friction", "unequal belts"],
-)
-def test_effects_of_straight_machines_are_compensated(machine: str, effect: str, square: Path, tmp_path: Path) -> None:
-    """Measured: 14.3 µm without, 0.4 µm with the friction in the file; 9.5 and 0.5 µm with the belts."""
-    klipper = ("--flavor", "klipper")  # Marlin's jerk of 10 mm/s asks for more than 120 Hz can give
-    known, errors = tmp_path / "known.toml", []
-    square.write_bytes(SQUARE.replace(b"X0 ", b"X80 ").replace(b"Y0 ", b"Y80 "))  # away from the edge
-    known.write_text((LIBRARY / f"{machine}.toml").read_text(encoding="utf-8") + f"\n{effect}\n", encoding="utf-8")
-    for believed in (machine, known):
-        out = tmp_path / f"{Path(believed).stem}.gcode"
-        good("compensate", square, "-m", believed, "-o", out, "--quiet", "--robust", "off", *klipper)
-        errors.append(good("simulate", out, "-m", believed, "--plant", known, *klipper)["track"]["contour_rms_um"])
-    assert errors[1] < 1.0 < 0.2 * errors[0]
-
-
-# ---- what goes wrong -----------------------------------------------------------------------------
-
-
 GAIN = "\n[effects.sensor_gain]\ncarriage_relative_change = 0.05\nnozzle_relative_change = [0.0, 0.1, 0.0]\n"
 
 

@@ -71,7 +71,9 @@ def test_the_whole_printer_in_the_loop_takes_the_effect_out(name: str) -> None:
 
 
 # of straight axes, beside and above the place where the file's numbers hold
-BY_PLACE = {
+OF_AXES = {
+    "coulomb_friction": ({"force_n": 2.0}, 0.3),
+    "belt_stiffness": ({"relative_change": [0.3, -0.1, 0.0]}, 0.3),
     "gantry_racking": (
         {"radius_mm": 150.0, "frequency_hz": 45.0, "damping_ratio": 0.05, "x_centre_mm": -60.0, "arm_mm": 10.0},
         0.3,
@@ -80,9 +82,9 @@ BY_PLACE = {
 }
 
 
-@pytest.mark.parametrize("name", BY_PLACE)
-def test_what_depends_on_the_nozzle_s_place_is_taken_out_too(name: str) -> None:
-    numbers, left = BY_PLACE[name]
+@pytest.mark.parametrize("name", OF_AXES)
+def test_effects_of_straight_axes_are_taken_out_too(name: str) -> None:
+    numbers, left = OF_AXES[name]
     box = CartesianKinematics(constant([[-100, 100], [-100, 100], [-1, 200]]), CARTESIAN)
     axes = ModalAxes.of([Axis([52.0], [0.06]), Axis([41.0], [0.06]), Axis()])
     machine = Machine("box", box, axes, MotionLimits(300.0, 5000.0))

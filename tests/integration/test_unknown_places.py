@@ -18,6 +18,7 @@ from gcode.embedded import OURS, original
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.cli import ffcomp
 from tests.support.compensated import plainly
 from validation.invariants import told_apart, violations
 
@@ -188,3 +189,22 @@ def test_the_imported_shaper_is_off_for_the_print_and_on_again_after_it(flavor: 
     assert lines.index(OFF[flavor]) < first and last < lines.index(on[0]) < lines.index("M0")
     kept, _ = lines_of(machine_with(*on, flavor=flavor), keep_shaper=True)
     assert shaper_lines(kept) == []
+
+
+NO_HOME = HEAD.replace("G28\n", "G1 X20 E1 F6000\n") + SQUARE
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (HEAD + SQUARE + "MY_MACRO\n" + SQUARE, '[macros] returns = ["MY_MACRO"]'),
+        (HEAD + SQUARE + "G29\nG1 Y20 E1\n" + SQUARE, "after G29 in line 11 the place of the nozzle is unknown"),
+        (NO_HOME, "the file does not say where the nozzle begins"),
+        (HEAD + SQUARE + "G0 X0 Y-190\nG0 X0 Y0\n" + SQUARE, "moves lie outside the print volume"),
+    ],
+)
+def test_the_print_says_why_a_part_is_not_compensated(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "a.gcode").write_text(text)
+    words = "compensate a.gcode -m flsun-qqs --no-predict --flavor klipper --offset-mm 0,0"
+    answer = ffcomp(*words.split(), cwd=tmp_path)
+    assert answer.exit_code == 0 and said in " ".join(answer.stdout.split()), answer.output

@@ -100,28 +100,6 @@ def test_eq_25_makes_the_rigid_modes_too_fast(rigid) -> None:
         np.testing.assert_allclose(machine.vibration.modes_at(np.zeros(2)).frequencies_hz[:3], own, rtol=1e-6)
 
 
-def test_a_uniform_effector_in_closed_form(rigid) -> None:
-    """W = w I: G = V diag(c s + k)/(m s² + (c+b) s + k + w σ_r²) Vᵀ, with J = U S Vᵀ."""
-    machine = rigid()
-    machine = with_parts(
-        machine,
-        carriage=replace(delta_vibration(machine).carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B),
-        effector=replace(
-            delta_vibration(machine).effector,
-            extruder_stiffness_n_per_m=constant([8e4] * 3),
-            extruder_damping_n_s_per_m=constant([15.0] * 3),
-        ),
-    )
-    frequency = np.geomspace(1, 300, 30)
-    s = 2j * np.pi * frequency
-    w = delta_vibration(machine).effector_impedance(s)[:, 0]
-    for place in PAPERS_PLACES:
-        _, sigma, v = np.linalg.svd(machine.kinematics.jacobian(place[None])[0])
-        each = (C * s + K)[:, None] / ((M * s**2 + (C + B) * s + K)[:, None] + w[:, None] * sigma**2)
-        closed = np.einsum("ra,kr,rb->kab", v, each, v)
-        np.testing.assert_allclose(machine.vibration.frequency_response(place, frequency), closed, atol=1e-11)
-
-
 def test_the_papers_load_is_not_symmetric(as_printed: Machine) -> None:
     vibration, xy = delta_vibration(as_printed), as_printed.kinematics.rings(5, 24)
     j = as_printed.kinematics.jacobian(xy)

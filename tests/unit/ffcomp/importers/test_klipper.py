@@ -180,3 +180,16 @@ def test_a_macro_that_sets_the_shaper_is_said(tmp_path: Path) -> None:
 def test_mistakes_are_said_with_their_line(old: str, new: str, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(PrinterConfigError, match=sentence):
         found(tmp_path, PLAIN.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("line", "note"),
+    [
+        ("minimum_cruise_ratio: 0.2", "SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=0.2 in the start G-code"),
+        ("max_accel_to_decel: 500", "a cruise ratio of 0.8 in Klippers before 2024"),
+        ("max_accel_to_decel: 1250", ""),  # as ffcomp plans
+    ],
+)
+def test_what_a_machine_file_cannot_hold_is_noted(line: str, note: str, tmp_path: Path) -> None:
+    notes = found(tmp_path, PLAIN.replace("max_accel: 2500", f"max_accel: 2500\n{line}")).notes
+    assert any(note in each for each in notes) if note else not any("cruise" in each for each in notes)

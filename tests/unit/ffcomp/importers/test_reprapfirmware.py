@@ -101,6 +101,8 @@ def test_a_cartesian_printer_with_one_shaper(tmp_path: Path) -> None:
     [
         ("M669 K2", "config.g:10: M669 selects CoreXZ kinematics: ffcomp has delta.* couple the motors .* keep the"),
         ("M669 K1 X1:1:0:0 Y1:-1:0:-1", "config.g:10: this M669 gives a movement matrix.* keep the"),
+        ("M665 L200:201:202:203 R100 H200 B80", "4 arms: ffcomp has deltas of three towers"),
+        ("M667 S2", "config.g:10: M667 selects"),
         ("M92 X8-0", "config.g:10: M92 X = '8-0' must be a plain number"),
     ],
 )

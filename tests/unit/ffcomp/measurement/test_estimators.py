@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import chirp, freqz, lfilter
 
+from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import periodic_frf, sweep_frf
 
 RATE = 1000.0
@@ -89,3 +90,17 @@ def test_the_variance_of_a_sweep_is_what_repeating_shows(inputs: int) -> None:
         ratios.append((error.sum(), found.variance.sum()))
     measured, said = np.sum(ratios, axis=0)
     assert measured == pytest.approx(said, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("samples", "inputs", "experiments", "words"),
+    [
+        (500, 1, 1, "1 whole periods of 200 samples are left after one for settling"),
+        (1000, 2, 1, "2 inputs need at least 2 experiments with different commands"),
+        (1000, 2, 2, "No line is excited in all inputs"),
+    ],
+)
+def test_too_little_for_a_response_is_refused(samples: int, inputs: int, experiments: int, words: str) -> None:
+    u = np.tile(np.random.default_rng(1).standard_normal((samples, 1)), (experiments, 1, inputs))
+    with pytest.raises(MeasurementError, match=words):
+        periodic_frf(u, u, RATE, 200)

@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass, replace
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,18 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.diagnosis import problems, verb
+from ffcomp.diagnosis.dominance import Dominant, Rival
+from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import Gap
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import ResidualSize, overlays_of
+from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.report import diagnose as pages
 from ffcomp.report.diagnose import page_of
 from models.effects.catalogue import with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
-from tests.support.browser import visit
 from tests.support.cli import CliRunner
 from tests.support.undrawn import save_nothing
 
@@ -183,22 +185,43 @@ def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
     assert gap(ResidualSize(0.3, 0.3), ResidualSize(0.3, 0.3)).explained == 0.0
 
 
+def left_out(position: tuple[float, ...], experiment: str, after: float = 10.0) -> dict[str, Any]:
+    return {"held_out": [HeldOut(position, experiment, 100, 1e3, after, 1e3, power=(1.0, after / 1e3, 1.2, 0.0))]}
+
+
+BECAUSE = {"rejections": ("it is late",)}
+AT_FAULT = SimpleNamespace(sentence=lambda: "x moved as EI.")
+OUTCOMES: list[tuple[dict[str, Any], str, str]] = [
+    (
+        {"finding": "dominant"},
+        "Of other effects guide_damping would explain 30 %",
+        "residual is then searched by itself",
+    ),
+    ({"finding": "dominant", "signal": "acc_x"}, "Most of the gap in acc_x is", "the better machine file"),
+    ({"finding": "nothing", "named": None}, "of the file's numbers retuned, ", "Compare the better machine file"),
+    ({"finding": "cannot_tell"}, "they differ by more than noise", "Record again as said above"),
+    ({"finding": "recording", "fault": AT_FAULT}, "at fault: x moved as EI.", "Record again as said above"),
+    ({"finding": "unproven"} | BECAUSE, "It is not named because it is late.", "Do not add the nearest effect"),
+    ({"finding": "unexplained"} | BECAUSE, "Nearest: effector_mass, which", "Look for something loose"),
+    ({"finding": "unexplained", "best": None}, "nothing known explains it", "Record other motions, each twice"),
+    (left_out((3.0,), ""), "In windows of time", "Compare the better machine file"),
+    (left_out((0.0, 0.0), "slow"), "One place only: not tested elsewhere", "at two more places"),
+    (left_out((55.0, 20.0), "", after=400.0), "It is unproven at (55, 20)", "Record louder motions at (55, 20)"),
+    ({"cut_short": True}, "ended at its budget of work", "better.toml"),
+]
+
+
+@pytest.mark.parametrize(("outcome", "said", "step"), OUTCOMES, ids=[said for _, said, _ in OUTCOMES])
+def test_each_outcome_has_its_sentences(heavy: Case, outcome: dict[str, Any], said: str, step: str) -> None:
+    search, changed = heavy.told.search, dict(outcome)
+    assert search.best is not None
+    if changed.get("finding") == "dominant":
+        rival = Rival(("guide_damping",), 0.3)
+        changed["dominant"] = Dominant(search.best, 0.8, (rival,), changed.pop("signal", ""))
+    verdict = {"effects": "effects", "nothing": "none"}.get(changed.get("finding", "effects"), "unknown")
+    told = replace(heavy.told, search=replace(search, verdict=verdict, **changed))
+    assert said in " ".join(told.said) and any(step in each for each in told.next_steps)
+    assert json.loads(json.dumps(told.to_dict()))["verdict"] == verdict and told.answer.facts
+
+
 # ---- odd outcomes --------------------------------------------------------------------------------
-
-
-def test_text_from_files_is_escaped(heavy: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    nasty = '"><script>alert(1)</script>$x_1$'
-    told = replace(heavy.told, separations=[replace(PROPOSAL, command=nasty, gcode=nasty)])
-    for each in told.residuals:
-        each.splits["signal"] = replace(each.splits["signal"], labels=(nasty,) * len(each.splits["signal"].labels))
-    overlays = [replace(each, recording=nasty) for each in overlays_of(told.search.estimation, {})]
-    monkeypatch.setattr(pages, "overlays_of", lambda *_: overlays)
-    text = page_of(told).html(told.answer).decode()
-    assert "alert(1)" in text and "<script" not in text
-
-
-def test_narrow_screens_need_no_sideways_scrolling(heavy: Case, browser: Any) -> None:
-    for width in (390, 1280):
-        with visit(browser, heavy.folder / "d.html", width) as seen:
-            assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
-            assert not seen.errors and not seen.requests

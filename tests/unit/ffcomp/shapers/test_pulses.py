@@ -108,3 +108,16 @@ def test_each_axis_has_its_own_shaper() -> None:
     both = shapers.shape(lambda t: parabola(t)[:, [0, 0, 0]], T, x=x, y=y)
     alone = [shapers.shape(parabola, T, x=s)[:, 0] for s in (x, y)]
     assert both == pytest.approx(np.column_stack([*alone, parabola(T)[:, 0]]))
+
+
+@pytest.mark.parametrize(
+    ("name", "hz", "zeta", "words"),
+    [
+        ("zv", 0.0, 0.1, "above zero, not 0.0 Hz"),
+        ("zv", 50.0, 1.0, "not at 1.0"),
+        ("smooth_zv", 0.0, 0.1, "above zero"),
+    ],
+)
+def test_a_shaper_that_cannot_be_is_refused(name: str, hz: float, zeta: float, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        shapers.SHAPERS[name](hz, zeta)

@@ -23,9 +23,6 @@ from ffcomp.simulation.expectation import (
     pieces_of,
     tuned_shapers,
 )
-from ffcomp.simulation.playback import check_same_kinematics
-from models.arrays import constant
-from models.errors import MachineFileError
 from models.file import load_machine
 from models.machine import Machine, value_of
 from tests.support.prints import squares
@@ -112,11 +109,3 @@ def test_few_printers_have_the_mean_of_many() -> None:
             off = np.array([value_of(m, name) for m in plants]) / value_of(MACHINE, name) - 1
             assert np.mean(np.abs(off)) == pytest.approx(0.1 * np.sqrt(2 / np.pi), rel=0.1)
             assert abs(np.mean(off)) < 0.01
-
-
-def test_another_printer_is_refused_by_key_and_rule() -> None:
-    other = replace(MACHINE.kinematics, arm_lengths_mm=constant([250.0] * 3), effector_height_mm=20.0)
-    with pytest.raises(MachineFileError) as error:
-        check_same_kinematics(MACHINE, replace(MACHINE, kinematics=other, path="other.toml"))
-    assert len(error.value.problems) == 2
-    assert "other.toml: kinematics.arm_lengths_mm is 250, 250, 250, but 300, 300, 300" in str(error.value)

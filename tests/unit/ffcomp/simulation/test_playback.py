@@ -9,20 +9,9 @@ from ffcomp.simulation.command import planned_motion
 from ffcomp.simulation.playback import simulate_nozzles
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.kinds import delta_vibration
-from models.printer.rest import static_deflection
 from validation import judge
 
 MACHINE = load_machine("mp-delta-pro")
-GRAVITY = 9.80665
-
-
-def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
-    """At the centre each belt carries its carriage and a third of the effector, and the extruder hangs on its mount."""
-    carriage, effector = delta_vibration(MACHINE).carriage, delta_vibration(MACHINE).effector
-    load = carriage.moving_mass_kg + (delta_vibration(MACHINE).nozzle_side_mass_kg + effector.extruder_mass_kg) / 3
-    expected = -1e3 * load * GRAVITY / carriage.belt_stiffness_n_per_m
-    np.testing.assert_allclose(static_deflection(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
 
 
 def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from models.effects.catalogue import design_machine
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.vibration.scheduled import table_positions
-from models.vibration.state_space import DiscretePlant, StateSpace, discretise
+from models.vibration.state_space import discretise
 
 pytest.importorskip("control", reason="python-control is not installed: pip install 'ffcomp[control]'.")
 
@@ -63,44 +63,6 @@ def test_an_ideal_drive_on_a_damped_belt_has_no_acceleration(printer: Machine) -
     machine = with_parts(printer, carriage=undamped)
     wanted = machine.vibration.frequency_response(np.zeros(2), FREQUENCIES, "acceleration")
     close(response(machine.vibration.to_control((0.0, 0.0), "acceleration")), wanted)
-
-
-# ---- state space ----
-
-
-STEP_S = 2e-3
-
-
-def axis(a: list[list[float]]) -> StateSpace:
-    """Position and rate of one mass, which u pulls by one unit of acceleration."""
-    pull = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])
-    return StateSpace(
-        np.array([a]), pull, np.zeros((1, 2, 3)), pull, np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]), ()
-    )
-
-
-def responses(plant: DiscretePlant) -> list[np.ndarray]:
-    """A, and the columns of u(t), u(t + h) and J̇q̇."""
-    return [plant.a[0], plant.b0[0, :, 0], plant.b1[0, :, 0], plant.b_centripetal[0, :, 0]]
-
-
-def test_free_mass_moves_by_the_double_integral() -> None:
-    h = STEP_S
-    found = responses(discretise(axis([[0.0, 1.0], [0.0, 0.0]]), h))
-    expected = [[[1.0, h], [0.0, 1.0]], [h**2 / 3, h / 2], [h**2 / 6, h / 2], [h**2 / 2, h]]
-    for each, by_hand in zip(found, expected, strict=True):
-        np.testing.assert_allclose(each, by_hand, rtol=1e-14)
-
-
-@pytest.mark.parametrize("frequency_hz", [0.5, 40.0, 240.0])
-def test_undamped_oscillator_turns_by_its_angle(frequency_hz: float) -> None:
-    w, h = 2.0 * np.pi * frequency_hz, STEP_S
-    found = responses(discretise(axis([[0.0, 1.0], [-(w**2), 0.0]]), h))
-    turned, held, swung = np.cos(w * h), (1.0 - np.cos(w * h)) / w**2, np.sin(w * h) / w
-    risen = np.array([1.0 - swung / h, held / h]) / [w**2, 1.0]
-    expected = [[[turned, swung], [-swung * w**2, turned]], [held, swung] - risen, risen, [held, swung]]
-    for each, by_hand in zip(found, expected, strict=True):
-        np.testing.assert_allclose(each, by_hand, rtol=1e-10, atol=1e-14 * np.abs(by_hand).max())
 
 
 @pytest.mark.parametrize("name", ["mp-delta-pro", "flsun-v400", "voron-250"])

@@ -16,39 +16,6 @@ S = 2j * np.pi * FREQUENCIES
 PLACES = [(0.0, 0.0), (80.0, 0.0), (-40.0, 69.0), (30.0, -100.0)]
 
 
-# --- Sub-model 1
-
-
-def test_carriage_frf_is_equation_33(as_printed: Machine) -> None:
-    carriage = delta_vibration(as_printed).carriage
-    m, k = 0.179 + 0.016, 1.21e5
-    omega, zeta = np.sqrt(k / m), (5.31 + 13.4) / (2 * np.sqrt(k * m))
-    mechanical = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
-    electrical = (-212.1 * S + 1.43e5) / (S**2 + 36.2 * S + 1.43e5)
-    np.testing.assert_allclose(command_frf(carriage, S), mechanical * electrical, rtol=1e-12)
-
-
-# --- Sub-model 2
-
-
-def test_effector_impedance_is_equation_61(printer: Machine) -> None:
-    effector = delta_vibration(printer).effector
-    m1 = effector.nozzle_mass_kg + 1.5 * delta_vibration(printer).carriage.arm_pair_mass_kg
-    mount = np.outer(S, effector.extruder_damping_n_s_per_m) + effector.extruder_stiffness_n_per_m
-    s2 = S[:, None] ** 2
-    verbatim = m1 * s2 + mount - mount**2 / (effector.extruder_mass_kg * s2 + mount)
-    np.testing.assert_allclose(delta_vibration(printer).effector_impedance(S), verbatim, rtol=1e-8)
-
-
-@pytest.mark.parametrize("with_arms", [True, False])
-def test_a_struck_effector_is_equation_45(as_printed: Machine, with_arms: bool) -> None:
-    m1, m2 = 0.542 + 0.048 * with_arms, 0.109
-    b, k = np.array([20.4, 40.5, 19.6]), np.array([3.31e3, 7.04e3, 1.29e5])
-    s = S[:, None]
-    verbatim = (m2 * s**2 + b * s + k) / (m1 * m2 * s**2 + (m1 + m2) * (b * s + k))
-    np.testing.assert_allclose(delta_vibration(as_printed).struck_frf(S, with_arms), verbatim, rtol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_six_rods_carry_the_virtual_work_load(rigid, seed: int, bed: np.ndarray) -> None:
     """Three forces and three moments give six axial rod forces; their pull is what the carriages feel.
@@ -109,23 +76,6 @@ def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) ->
 def test_virtual_work_is_reciprocal(printer: Machine, xy: tuple[float, float]) -> None:
     g = printer.vibration.frequency_response(np.array(xy), FREQUENCIES)
     np.testing.assert_allclose(g, g.transpose(0, 2, 1), atol=1e-11)
-
-
-@pytest.mark.parametrize("xy", PLACES)
-def test_every_output_per_every_input(printer: Machine, xy: tuple[float, float]) -> None:
-    place, f = np.array(xy), FREQUENCIES
-    j = printer.kinematics.jacobian(place[None])[0]
-    g, to_carriages = printer.vibration.frequency_response(place, f), np.linalg.inv(j)
-    s2 = (S**2)[:, None, None]
-    expected = {
-        ("carriage", "carriage"): g,
-        ("carriage", "nozzle"): g @ to_carriages,
-        ("nozzle", "carriage"): j @ g,
-        ("acceleration", "carriage"): s2 * (j @ g),
-        ("acceleration", "nozzle"): s2 * printer.vibration.frequency_response(place, f, "nozzle", "nozzle"),
-    }
-    for (of, per), wanted in expected.items():
-        np.testing.assert_allclose(printer.vibration.frequency_response(place, f, of, per), wanted, rtol=1e-12)
 
 
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
