@@ -238,9 +238,8 @@ class Segments:
         return points
 
     def executed(self, points: FloatArray, e: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
-        """Return the points (n, 3) mm that may end segments so that the firmware drops none, (m,).
+        """Return the points (n, 3) mm, with e (n,) mm, that may end segments so that the firmware drops none, (m,).
 
-        e : (n,) mm of filament
         fixed : (n,) points that are left out only for another one of them: a line that stood there moves to it
         ends : (n,) points that must stay: another writer, or a rest, continues from there
         """

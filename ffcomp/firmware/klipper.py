@@ -27,7 +27,8 @@ gcode:
     {{% set own = printer.configfile.settings %}}
     SET_VELOCITY_LIMIT VELOCITY={{own.printer.max_velocity}} ACCEL={{own.printer.max_accel}}
     SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY={{own.printer.square_corner_velocity}}
-    SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio}}
+    {{% set decel = own.printer.max_accel_to_decel|default(own.printer.max_accel) %}}
+    SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio|default(0)}} ACCEL_TO_DECEL={{decel}}
     {{% if own.input_shaper is defined %}}
     SET_INPUT_SHAPER SHAPER_FREQ_X={{own.input_shaper.shaper_freq_x}} SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}}
     {{% endif %}}
