@@ -200,10 +200,12 @@ class MarlinSegments(Segments):
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
         by_motors = not (on_delta(self.machine) or self.machine.kinematics.shares_motors)
+        steps = np.abs(change * self.row[STEPS])[:, :3].max(axis=1)
         mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
+        # where the motors have fewer steps than it executes, Marlin counts the filament's length
+        mm = np.where(steps < self.settings.minimum_steps_per_segment, np.abs(change[:, 3]), mm)
         way = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6)
         meant, fastest = way / lasting, np.abs(change[:, :3]).max(axis=1) / way
-        steps = np.abs(change * self.row[STEPS])[:, :3].max(axis=1)
         too_short = steps < lasting * self.settings.segments_per_second * (self.settings.minimum_steps_per_segment + 1)
         pace, uncut = meant.copy(), np.where(too_short, way / self.longest_s, 0.0)
         lengths = np.full(len(mm), np.nan) if by_motors else straight
@@ -296,19 +298,16 @@ def _file_e_mm(frame: ModalState, e_mm: float) -> float:
 
 
 @kernel
-def _most(steps: FloatArray, a: int, b: int) -> float:
-    return max(abs(steps[b, 0] - steps[a, 0]), abs(steps[b, 1] - steps[a, 1]), abs(steps[b, 2] - steps[a, 2]))
-
-
-@kernel
 def _executed(steps: FloatArray, rank: IntArray, minimum: int) -> IntArray:
     """Of two points too near each other, keep the one of higher rank, or the first."""
     n = len(steps)
     kept, count = np.zeros(n, dtype=np.int64), 1
     for k in range(1, n):
-        while count > 1 and rank[k] > rank[kept[count - 1]] and _most(steps, kept[count - 1], k) < minimum:
+        away = np.abs(steps[k] - steps[kept[count - 1]]).max()
+        while count > 1 and away < minimum and rank[k] > rank[kept[count - 1]]:
             count -= 1
-        if rank[k] == ALWAYS or _most(steps, kept[count - 1], k) >= minimum:
+            away = np.abs(steps[k] - steps[kept[count - 1]]).max()
+        if rank[k] == ALWAYS or away >= minimum:
             kept[count] = k
             count += 1
     return kept[:count].copy()
