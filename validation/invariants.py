@@ -114,8 +114,7 @@ def _of_text(lines: list[bytes], text: Text) -> Iterator[str]:
 
 def _of_lines(read: Program, written: Program, text: Text) -> Iterator[str]:
     """Heaters, fans, tools, comments: all that is not a move goes out as it came, where it came."""
-    kept = set(text.others)
-    mine, theirs = _places(read, set(range(len(read.lines)))), _places(written, kept)
+    mine, theirs = _places(read, set(range(len(read.lines)))), _places(written, set(text.others))
     if [line for line, _ in mine] != [line for line, _ in theirs]:
         yield "The lines that are not moves are not those of the original."
         return
@@ -162,9 +161,12 @@ def _of_motion(written: Program, text: Text, machine: Machine) -> Iterator[str]:
 
 
 def _of_path(read: Program, written: Program, text: Text, machine: Machine) -> Iterator[str]:
-    """Each section begins and ends where its path does, and never leaves it by more than `net` allows."""
+    """Sections begin and end where their paths do, leave them by no more than `net` allows, and take little longer."""
     read = within_reach(read, machine.kinematics)  # moves outside the print volume are passed through unchanged
     plan = plan_program(read, machine)
+    lasts_s = plan_program(within_reach(written, machine.kinematics), machine).trajectory.end_t
+    if lasts_s > 2.0 * plan.trajectory.end_t + 5.0:
+        yield f"The print lasted {plan.trajectory.end_t:.1f} s and lasts {lasts_s:.1f} s."
     by_line = {int(read.moves.line[each.first]): each for each in plan.sections if each.travels}
     times = [time for time in section_times(written.lines) if time.line in by_line]
     own = np.flatnonzero(np.isin(written.moves.line, text.segments))
@@ -177,10 +179,8 @@ def _of_path(read: Program, written: Program, text: Text, machine: Machine) -> I
         section = by_line[time.line]
         within = slice(section.first, section.last)
         path = np.vstack([read.moves.start[within, :3], read.moves.end[section.last - 1, :3]])
-        ends = written.moves.end[own[first:last], :3]
-        places = np.vstack([written.moves.start[own[first], :3], ends])
-        due = np.arange(len(path), dtype=np.float64)
-        away = contour_error(due, path, np.zeros(len(places)), places, np.inf)
+        places = np.vstack([written.moves.start[own[first], :3], written.moves.end[own[first:last], :3]])
+        away = contour_error(np.arange(len(path), dtype=np.float64), path, np.zeros(len(places)), places, np.inf)
         most = max(FARTHEST_MM, TIMES * compliance_s2 * float(plan.trajectory.acceleration[within].max()))
         if away.max() > most:
             yield f"line {time.line + 1}: a segment is {away.max():.3f} mm from the path; {most:.2g} mm are allowed."

@@ -30,22 +30,10 @@ ROOT = Path(__file__).parents[2]
 SAMPLES = sorted((ROOT / "sample_prints").glob("*.gcode"))
 LINES = 500
 
-PRINT = b"""G28
-G90
-M82
-M104 S200
-G1 Z5 F6000
-G1 X10 Y10 F9000
-;LAYER:0
-M106 S100
-G1 X40 Y12 E1.5
-M106 S200
-G1 X38 Y40 E3
-G92 E0
-T0
-G1 X10 Y30 E1.5
-M107
-"""
+PRINT = (
+    b"G28|G90|M82|M104 S200|G1 Z5 F6000|G1 X10 Y10 F9000|;LAYER:0|M106 S100|G1 X40 Y12 E1.5|M106 S200|G1 X38 Y40 E3|"
+    b"G92 E0|T0|G1 X10 Y30 E1.5|M107|"
+).replace(b"|", b"\n")
 
 
 def beginning(path: Path) -> bytes:
@@ -127,6 +115,7 @@ def word(line: bytes, letter: bytes, change: Callable[[float], float]) -> bytes:
         (lambda line: word(line, b"X", lambda x: x + 10), "mm from the path; "),
         (lambda line: word(word(line, b"X", lambda x: x + 50), b"F", lambda f: 20 * f), "velocity"),
         (lambda line: word(line, b"E", lambda e: e + 0.5), "There and back"),
+        (lambda line: line + b"\nG4 S9 ; ffcomp", "s and lasts 9"),
         (lambda line: line.replace(b"E", b"E" + b"0" * 90), "too long"),
         (lambda line: line.replace(b"G1 ", b"G1 Z1e1 "), "exponent"),
         (lambda line: line + b" S1", "no plain G1"),

@@ -94,6 +94,15 @@ def test_a_long_lift_of_a_delta_keeps_its_speed() -> None:
     assert max(float(feed) for feed in re.findall(rb"^G1[^;\n]* F([\d.]+)", text, re.MULTILINE)) < 9000
 
 
+def test_a_wipe_of_few_steps_takes_the_filaments_time() -> None:
+    """Of a stroke of 0.1 mm out and back only the filament is left: it was to take 70 s."""
+    lines = b"G90\nM83\nG28\nG1 X119.636 Y113.77 Z9 F9000\nG1 E.8 F1800\nG1 X119.67 Y113.67 E.00175 F15000\n"
+    lines += b"; WIPE_START\nG1 X119.636 Y113.77 E-.76 F33600\n; WIPE_END\nG1 E-.04 F1800\n"
+    written = Job(lines, "wipe", load_machine("bambu-a1"), plainly(flavor="marlin", predict=False)).lines()
+    text, found = b"".join(written), written.value.statistics
+    assert re.search(rb"^G1 E-.7", text, re.MULTILINE) and found.print_time_s < found.original_print_time_s + 0.2
+
+
 @pytest.mark.parametrize(
     ("name", "middle", "filament"), [("ender-3", 60, "M83"), ("ender-3", 60, "M82\nM221 S90"), ("kossel", 0, "M82")]
 )
