@@ -99,10 +99,13 @@ def _feed(
     for i in range(3):
         demanded += (to[i] - last[i]) ** 2
         written += ((now[i] - state[i]) / per_mm[i]) ** 2
+    if lasting > 0.0 and demanded > 0.0 and written > 0.0:
+        speed *= np.sqrt(written / demanded)
+    elif lasting > 0.0 and speed <= 0.0:  # filament alone, or what rounding has left to go
+        speed = (np.sqrt(written) if written > 0.0 else abs(now[3] - state[3]) / per_mm[3]) / lasting
     if slack <= 0.0 or demanded <= 0.0 or written <= 0.0 or speed <= 0.0:
         last[3] = 0.0
         return np.int64(np.rint(speed * f_counts))
-    speed *= np.sqrt(written / demanded)
     late, may_be = last[3], min(slack / speed, LATE_S)
     due = speed * lasting * f_counts  # F of a move that takes 1 s
     low, high = due / (lasting - late + may_be), due / max(lasting - late - may_be, 1e-9)
@@ -202,10 +205,7 @@ class MoveWriter:
         return x, y, z, mm if counts[3] == count else e  # nothing written: no digits to keep
 
     def here(self, speed: float) -> list[bytes]:
-        """Lines that state the present position, without an unknown height; none in relative mode.
-
-        Nothing moves unless the toolhead was moved away. In that case it moves in XY first, then down.
-        """
+        """Lines that state the known position, none in relative mode. A toolhead elsewhere moves in XY, then down."""
         if self._relative[0]:
             return []
         x, y, z = (b"%.4f" % (count / XYZ_COUNTS) for count in self._state[:3])

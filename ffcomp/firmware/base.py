@@ -261,8 +261,7 @@ class Segments:
         filament : the next move, without a rest before it: the last segment need not end at rest
         """
         speeds = segment_speeds(points, np.diff(e), lasting, self.raised)
-        feed = np.where(speeds.cruise > 0.0, speeds.cruise, np.abs(np.diff(e)) / lasting)
-        return feed, np.full(len(lasting), inf), speeds
+        return speeds.cruise, np.full(len(lasting), inf), speeds
 
     def paced(self, motors_mm_per_s: float, unit_mm: float) -> list[bytes]:
         """Return the lines that set a limit of the motors; inf: that of the header."""
