@@ -132,7 +132,7 @@ def mode_inverse(name: str, frequency_hz: float, mode_hz: float, damping_ratio: 
     begin, end = k2 * w.deriv()(-0.5), -k2 * w.deriv()(0.5)
     amplitude = np.concatenate([[begin], inside, [end]]) / area
     mean = support * (share @ (w(at) * at)) / area
-    return Shaper(name, amplitude, support * np.concatenate([[-0.5], at, [0.5]]) - mean)
+    return Shaper(amplitude, support * np.concatenate([[-0.5], at, [0.5]]) - mean)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class ModeInverse(Shaping):
 
     def shapers(self, settings: FloatArray) -> tuple[Shaper | None, ...]:
         """Return the shapers of x, y and z."""
-        zeta, z = float(settings[-1]), KERNELS[self.kind].shaper(self.kind, settings[2]) if self.shapes_z else None
+        zeta, z = float(settings[-1]), KERNELS[self.kind](settings[2]) if self.shapes_z else None
         pairs = zip(settings[:2], settings[-3:-1], strict=True)
         return (*(mode_inverse(self.kind, float(hz), float(mode), zeta) for hz, mode in pairs), z)
 

@@ -22,9 +22,8 @@ from scipy.signal import lfilter
 
 from ffcomp.record.page import SLOW, STROKE
 from ffcomp.record.plan import Experiment, Plan
-from ffcomp.shapers import pulses
 from ffcomp.shapers.apply import shape
-from ffcomp.shapers.pulses import Shaper
+from ffcomp.shapers.pulses import PULSES, Shaper
 from validation.plants import straight_plant
 
 Array = NDArray[np.float64]
@@ -77,7 +76,7 @@ class Conditions:
 
 def zv(hz: tuple[float, float], damping: float = 0.1) -> Conditions:
     """Return a print with the shaper ZV on, tuned to x and y (Singer & Seering, 1990)."""
-    return Conditions(shapers=tuple(pulses.zv(each, damping) for each in hz))
+    return Conditions(shapers=tuple(PULSES["zv"](each, damping) for each in hz))
 
 
 # ---- what the printer draws ----------------------------------------------------------------------

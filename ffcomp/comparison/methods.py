@@ -20,7 +20,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.shapers.smooth import USUAL
+from ffcomp.shapers.pulses import USUAL
 from ffcomp.simulation.command import Motion, SectionClock, SectionStarts, motion_of, section_starts
 from gcode.reader import read_program
 from models.arrays import FloatArray

@@ -6,8 +6,7 @@ constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
 from ffcomp.shapers.apply import dominant_frequencies, shape
-from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, ei, mzv, residual_vibration, three_hump_ei, zv
+from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, residual_vibration
 from ffcomp.shapers.smooth import SHAPERS
 
-__all__ = ["DAMPING_RATIO", "SHAPERS", "Shaper"]
-__all__ += ["dominant_frequencies", "ei", "mzv", "residual_vibration", "shape", "three_hump_ei", "zv"]
+__all__ = ["DAMPING_RATIO", "SHAPERS", "Shaper", "dominant_frequencies", "residual_vibration", "shape"]

@@ -45,7 +45,7 @@ _HIGHEST_HZ = 200.0  # of the spectrum
 _NORMALISING_HZ = 0.1
 _NOISY_HZ = 10.0  # below, the spectrum is faded out
 
-_CANDIDATES = [name for name, kind in SHAPERS.items() if kind.recommended]  # in the order of choice
+_CANDIDATES = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")  # in the order of choice
 _UP_TO_HZ, _STEP_HZ = 150.0, 0.2
 _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)
 _REDUCTION = 20.0  # power below the peak divided by this does not count

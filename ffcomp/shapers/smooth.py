@@ -9,13 +9,11 @@ damping ratio of 0.1; they do not change with it. The integral is a Gauss-Legend
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, ei, mzv, three_hump_ei, two_hump_ei, zv, zvd, zvdd, zvddd
+from ffcomp.shapers.pulses import DAMPING_RATIO, PULSES, Pulses, Shaper, check_frequency
 from models.arrays import FloatArray
 
 NODES = 24  # of the sum: the position along a 30 ms kernel is then exact to 0.1 µm at an acceleration's step of 10 m/s²
@@ -37,16 +35,14 @@ class Kernel:
         every[::2], every[1::2] = self.even, self.odd
         return every
 
-    def shaper(self, name: str, frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
-        """Return the kernel at a frequency, its mean delay taken off; it is for a damping ratio of 0.1."""
+    def __call__(self, frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+        """Return the kernel at a frequency; it is for a damping ratio of 0.1."""
         del damping_ratio
-        if not frequency_hz > 0:
-            raise ValueError(f"A shaper's frequency must be above zero, not {frequency_hz} Hz.")
+        check_frequency(frequency_hz)
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
-        amplitude = weights * np.polyval(self.coefficients, nodes / 2)
-        amplitude /= amplitude.sum()
-        time = nodes / 2 * self.support_periods / frequency_hz
-        return Shaper(name, amplitude, time - amplitude @ time)
+        return Shaper.of(
+            weights * np.polyval(self.coefficients, nodes / 2), nodes / 2 * self.support_periods / frequency_hz
+        )
 
 
 KERNELS = {
@@ -89,30 +85,4 @@ KERNELS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ShaperKind:
-    """A kind of shaper: all that calibration, search and comparison need."""
-
-    make: Callable[[float, float], Shaper]  # from frequency, Hz, and damping ratio
-    lowest_hz: float  # that a calibration tries: there a print could still accelerate by about 1.5 m/s²
-    usual: bool = False  # most printers have it: it is compared unless others are named
-    recommended: bool = False  # calibrations choose among these
-
-    def __call__(self, frequency_hz: float, damping_ratio: float) -> Shaper:
-        """Return the shaper of a mode."""
-        return self.make(frequency_hz, damping_ratio)
-
-
-SHAPERS: dict[str, ShaperKind] = {
-    "zv": ShaperKind(zv, 21.0, usual=True, recommended=True),
-    "mzv": ShaperKind(mzv, 23.0, usual=True, recommended=True),
-    "zvd": ShaperKind(zvd, 29.0, usual=True),
-    "zvdd": ShaperKind(zvdd, 35.0),
-    "zvddd": ShaperKind(zvddd, 40.0),
-    "ei": ShaperKind(ei, 29.0, usual=True, recommended=True),
-    "2hump_ei": ShaperKind(two_hump_ei, 39.0, usual=True, recommended=True),
-    "3hump_ei": ShaperKind(three_hump_ei, 48.0, usual=True, recommended=True),
-    **{name: ShaperKind(partial(kernel.shaper, name), kernel.lowest_hz) for name, kernel in KERNELS.items()},
-}
-
-USUAL = tuple(name for name, kind in SHAPERS.items() if kind.usual)
+SHAPERS: dict[str, Pulses | Kernel] = {**PULSES, **KERNELS}

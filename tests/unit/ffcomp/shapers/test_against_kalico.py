@@ -22,7 +22,7 @@ from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
 from ffcomp.shapers.apply import Position
-from ffcomp.shapers.smooth import USUAL
+from ffcomp.shapers.pulses import USUAL
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine

@@ -21,8 +21,8 @@ FloatArray = NDArray[np.float64]
 
 STEP_S, MARGIN = 5e-4, 200
 MAKERS = {
-    "mzv": shapers.mzv(41.3, 0.07),
-    "3hump_ei": shapers.three_hump_ei(57.0),
+    "mzv": shapers.SHAPERS["mzv"](41.3, 0.07),
+    "3hump_ei": shapers.SHAPERS["3hump_ei"](57.0),
     "smooth_si": shapers.SHAPERS["smooth_si"](44.0, 0.1),
 }
 
@@ -52,7 +52,7 @@ def test_samples_are_shaped_as_the_motion_is(name: str) -> None:
 
 
 def test_a_parabola_is_shaped_exactly() -> None:
-    shaper = shapers.ei(37.7)
+    shaper = shapers.SHAPERS["ei"](37.7)
     first, weights = on_grid(shaper, STEP_S)
     delay = STEP_S * (first + np.arange(len(weights)))
     for power in (0, 1, 2):

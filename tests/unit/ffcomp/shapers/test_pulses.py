@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp import shapers
+from ffcomp.shapers.pulses import PULSES
 
 FloatArray = NDArray[np.float64]
 
-PULSES = ("zv", "mzv", "zvd", "zvdd", "zvddd", "ei", "2hump_ei", "3hump_ei")
-names = st.sampled_from(PULSES)
+names = st.sampled_from([*PULSES])
 frequencies = st.floats(10.0, 200.0)
 dampings = st.floats(0.0, 0.3)
 
@@ -35,11 +35,11 @@ def test_nothing_vibrates_at_the_design_frequency(name: str, hz: float, zeta: fl
 @given(frequencies, dampings)
 def test_ei_leaves_its_tolerance_at_the_design_frequency(hz: float, zeta: float) -> None:
     """v K²/Σ pulses in general, v = 5 % without damping."""
-    shaper = shapers.ei(hz, zeta)
+    shaper = shapers.SHAPERS["ei"](hz, zeta)
     decay = np.exp(-zeta * np.pi / np.sqrt(1 - zeta**2))
     expected = 0.05 * decay**2 / (0.2625 + 0.475 * decay + 0.2625 * decay**2)
     assert shapers.residual_vibration(shaper, np.array([hz]), zeta)[0] == pytest.approx(expected)
-    assert shapers.residual_vibration(shapers.ei(hz, 0.0), np.array([hz]), 0.0)[0] == pytest.approx(0.05)
+    assert shapers.residual_vibration(shapers.SHAPERS["ei"](hz, 0.0), np.array([hz]), 0.0)[0] == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(("name", "power"), [("zv", 1), ("zvd", 2), ("zvdd", 3), ("zvddd", 4)])
@@ -64,7 +64,7 @@ def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(name: str, band: tuple
 def test_the_residual_is_that_of_a_simulated_oscillator() -> None:
     """ẍ + 2ζωẋ + ω²x = ω² u after shaped steps: superposed step responses after the last pulse."""
     zeta, hz = 0.06, 52.0
-    shaper, omega = shapers.ei(45.0, zeta), 2 * np.pi * hz
+    shaper, omega = shapers.SHAPERS["ei"](45.0, zeta), 2 * np.pi * hz
     pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
     since = shaper.time[-1] - shaper.time
     # a unit step leaves x - 1 = Re(C e^{pole t}) with one C for all pulses
@@ -104,7 +104,7 @@ def test_constant_acceleration_is_off_by_half_its_spread(name: str) -> None:
 
 
 def test_each_axis_has_its_own_shaper() -> None:
-    x, y = shapers.zv(35.0), shapers.ei(60.0)
+    x, y = shapers.SHAPERS["zv"](35.0), shapers.SHAPERS["ei"](60.0)
     both = shapers.shape(lambda t: parabola(t)[:, [0, 0, 0]], T, x=x, y=y)
     alone = [shapers.shape(parabola, T, x=s)[:, 0] for s in (x, y)]
     assert both == pytest.approx(np.column_stack([*alone, parabola(T)[:, 0]]))
