@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.time_scaling import whole_segments
+from ffcomp.numerics.serialise import keys
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import labels
 from gcode.program import Program
@@ -29,12 +31,23 @@ P99_LEVEL = 1.02  # times the bound, that the 99th percentile may have: the last
 class Faster:
     """Times under a bound; the values of chunks add up."""
 
+    json_keys: ClassVar = keys("actuator_limit_s", "limited_by", "by_feature")
+
     original_s: Mapping[str, float] = field(default_factory=dict)  # by feature, as sliced
     planned_s: Mapping[str, float] = field(default_factory=dict)  # by feature, now
-    actuator_limit_s: float = 0.0  # lower bound of the duration of any plan of the moves
-    limited_by: Mapping[str, float] = field(default_factory=dict)  # s, by what limits the motion
+    # lower bound for any plan of the same moves: no slower corners, only the limits of carriages and flow
+    actuator_limit_s: float = 0.0
+    # number [s]: the time by what limits it: `flow`, `error_bound`, `carriage_acceleration`, `speed`,
+    # `cooling`, `as_sliced` (kept), `filament_alone`
+    limited_by: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     bound_um: float = 0.0  # the largest error that a feature may have
+
+    @property
+    def by_feature(self) -> Mapping[str, Mapping[str, float]]:
+        """Seconds of each kind of line: as sliced, and now."""
+        longest_first = sorted(self.original_s.items(), key=lambda each: -each[1])
+        return {name: {"original_s": s, "print_time_s": self.planned_s.get(name, 0.0)} for name, s in longest_first}
 
     def __add__(self, later: Faster) -> Faster:
         return Faster(

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
-from ffcomp.compensation.faster import P99_LEVEL
+from ffcomp.compensation.faster import P99_LEVEL, Faster
 from ffcomp.compensation.net import unsafe_sentences
 from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
-from ffcomp.compensation.statistics import ENOUGH, Statistics, cause_of, shortened, warning_lines
+from ffcomp.compensation.statistics import ENOUGH, Statistics, cause_of, grouped, shortened, slowed_lines
 from ffcomp.errors import INPUT_ERRORS, FfcompError, explain, interrupts_restored
 from ffcomp.faster.bound import limits_in_words
 from ffcomp.firmware.table import FIRMWARES
@@ -33,25 +33,7 @@ from models.file import machine_paths
 from models.machine import Machine, assumed_modes
 from models.schema.documents import DEFAULT_UNCERTAINTY
 
-LISTED = 12  # slowed places with a sentence of their own
 DIED = "A process that worked at it has died, perhaps for want of memory."
-
-
-@dataclass(frozen=True, slots=True)
-class QuickerPrint:
-    """The print under a bound on the error."""
-
-    print_time_s: float  # with `--max-error-um`: of the quicker print
-    original_print_time_s: float  # of the original
-    # lower bound for any plan of the same moves: no slower corners, only the limits of carriages and flow
-    actuator_limit_s: float
-    # number [s]: the time by what limits it: `flow`, `error_bound`, `carriage_acceleration`, `speed`,
-    # `cooling`, `as_sliced` (kept), `filament_alone`
-    limited_by: Mapping[str, float]
-    contour_p99_um: float | None  # predicted for the machine as its file says; null without a prediction
-    contour_max_um: float | None  # the largest
-    # number [s]: of one kind of line: `original_s` as sliced, `print_time_s` now
-    by_feature: Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,23 +71,9 @@ class Result:
     @property
     def warnings(self) -> list[str]:
         """All warnings, in sentences."""
-        slowed = self.statistics.slowed
-        sentences = [*self._general_warnings, *(each.sentence() for each in slowed[:LISTED])]
-        if len(slowed) > LISTED:
-            more_s = sum(each.seconds for each in slowed[LISTED:])
-            sentences.append(
-                f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
-            )
-        return sentences
+        return list(self._warnings())
 
-    @property
-    def warning_lines(self) -> list[str]:
-        """The same for people, in a few lines."""
-        numbers, general = self.statistics, list(self._general_warnings)
-        return warning_lines(general, numbers.slowed, self.machine, numbers.original_print_time_s)
-
-    @property
-    def _general_warnings(self) -> Iterator[str]:
+    def _warnings(self) -> Iterator[str]:
         numbers = self.statistics
         yield from unsafe_sentences(numbers.unsafe)
         if self.predicted and numbers.faster is None:
@@ -124,6 +92,7 @@ class Result:
                 f"The file has {per_s:.0f} segments a second. An 8-bit board, or a serial line at 115200 baud "
                 "(OctoPrint), falls behind and the print stutters: print it from the card of a 32-bit board."
             )
+        yield from slowed_lines(numbers.slowed, self.machine, numbers.original_print_time_s)
 
     @property
     def unknown(self) -> list[str]:
@@ -134,14 +103,12 @@ class Result:
     @property
     def bound_missed(self) -> list[str]:
         """State the predicted error of the written print, where it is not the bound."""
-        quicker, faster = self.faster, self.statistics.faster
-        if quicker is None or faster is None or quicker.contour_p99_um is None:
-            return []
-        if quicker.contour_p99_um <= P99_LEVEL * faster.bound_um:
+        faster, written = self.statistics.faster, self.predicted.get("compensated")
+        if faster is None or written is None or written.contour_p99_um <= P99_LEVEL * faster.bound_um:
             return []
         return [
             f"The bound of {faster.bound_um:g} µm is not held: for 99 % of the time the predicted error is below "
-            f"{quicker.contour_p99_um:.2g} µm. What keeps the slicer's speed is not made slower, and segments and "
+            f"{written.contour_p99_um:.2g} µm. What keeps the slicer's speed is not made slower, and segments and "
             "rests leave 1 to 2 µm, however slow a print is."
         ]
 
@@ -149,26 +116,6 @@ class Result:
     def predicted(self) -> Mapping[str, Track]:
         """Errors of the uncompensated and of the compensated print; empty: not predicted."""
         return self.forecast.tracks
-
-    @property
-    def faster(self) -> QuickerPrint | None:
-        """What a bound on the error has brought; None: there was none."""
-        numbers, faster = self.statistics, self.statistics.faster
-        if faster is None:
-            return None
-        compensated = self.predicted.get("compensated")
-        return QuickerPrint(
-            print_time_s=numbers.print_time_s,
-            original_print_time_s=numbers.original_print_time_s,
-            actuator_limit_s=faster.actuator_limit_s,
-            limited_by=dict(faster.limited_by),
-            contour_p99_um=compensated.contour_p99_um if compensated else None,
-            contour_max_um=compensated.contour_max_um if compensated else None,
-            by_feature={
-                name: {"original_s": seconds, "print_time_s": faster.planned_s.get(name, 0.0)}
-                for name, seconds in sorted(faster.original_s.items(), key=lambda each: -each[1])
-            },
-        )
 
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
@@ -187,7 +134,7 @@ class Result:
 
 COUNTED = ("print_time_s", "original_print_time_s", "moves", "segments", "windows")
 PRINT_KEYS = keys(
-    *("machine", "compute_time_s", "size", "faster", "steps", "original_embedded"),
+    *("machine", "compute_time_s", "size", "steps", "original_embedded"),
     flavor="flavor.flavor",
     flavor_reason="flavor.reason",
     offset_mm="placement.offset",
@@ -202,7 +149,7 @@ PRINT_KEYS = keys(
     predicted_over_s="forecast.over_s",
     expected="forecast.expected",
     verdict="forecast.verdict",
-    **{name: f"statistics.{name}" for name in (*COUNTED, "limited_windows", "slowed")},
+    **{name: f"statistics.{name}" for name in (*COUNTED, "limited_windows", "slowed", "faster")},
 )
 
 
@@ -238,7 +185,7 @@ class CompensatedFile(VerbResult):
     title = "Compensated print"
     schema = "ffcomp-compensate/1"
     json_keys: ClassVar = keys(
-        *("already", "output", "warnings", "warning_lines"),
+        *("already", "output", "warnings"),
         input="path",
         prints="print_times",
         **{key: f"whole.{path}" for key, path in PRINT_KEYS.items()},
@@ -320,9 +267,9 @@ class CompensatedFile(VerbResult):
         if result.shaper is None or result.shaper.state != "set":
             path, filament = percent(numbers.shares.path), percent(numbers.shares.filament)
             yield "Compensated", f"{path} of the path, {filament} of the filament"
-        if result.faster is not None:
-            yield "Faster", faster_line(result.faster)
-            yield "Time limited by", limits_in_words(result.faster.limited_by)
+        if numbers.faster is not None:
+            yield "Faster", faster_line(numbers.faster, was_s, now_s, self.compensated)
+            yield "Time limited by", limits_in_words(numbers.faster.limited_by)
             yield "Uncertainty", uncertainty_line(result.machine)
         reasons = (result.flavor.reason, result.placement.reason, result.robust.reason)
         shaper = result.shaper.reason if result.shaper else ""
@@ -347,7 +294,7 @@ class CompensatedFile(VerbResult):
         """The same for people, in a few lines: what the machine file does not know comes first."""
         if not self.prints:
             return list(self.advice)
-        return shortened([*self.result.unknown, *self.advice, *self.result.warning_lines])
+        return shortened([*self.result.unknown, *self.advice, *grouped(self.result.warnings)])
 
     @property
     def next_steps(self) -> Sequence[str]:
@@ -419,13 +366,14 @@ NO_GAIN = (
 )
 
 
-def faster_line(quicker: QuickerPrint) -> str:
-    """Say in a line what the bound has brought."""
-    was, now, least = quicker.original_print_time_s, quicker.print_time_s, quicker.actuator_limit_s
-    limits, p99 = quicker.limited_by, quicker.contour_p99_um
+def faster_line(faster: Faster, was: float, now: float, left: Track | None) -> str:
+    """Say in a line what the bound has brought; was, now : print times, s."""
+    limits, error = faster.limited_by, ""
     slower = now >= was and max(limits, key=lambda name: limits[name]) == "error_bound"
-    error = "" if p99 is None else f", predicted contour error p99 {p99:.1f} µm, max {quicker.contour_max_um:.1f} µm"
-    line = f"{was:.1f} → {now:.1f} s ({100 * (now / was - 1):+.0f} %; nothing can be quicker than {least:.1f} s)"
+    if left is not None:
+        error = f", predicted contour error p99 {left.contour_p99_um:.1f} µm, max {left.contour_max_um:.1f} µm"
+    least = f"nothing can be quicker than {faster.actuator_limit_s:.1f} s"
+    line = f"{was:.1f} → {now:.1f} s ({100 * (now / was - 1):+.0f} %; {least})"
     return f"{line}{error}.{f' {NO_GAIN}' if slower else ''}"
 
 

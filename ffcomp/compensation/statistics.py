@@ -257,21 +257,6 @@ _NUMBER = re.compile(r"\d[\d.]*")
 _MORE = "see --json, or the log (ffcomp --log-path)"
 
 
-def warning_lines(
-    warnings: Sequence[str], slowed: Sequence[TimeScaling], machine: Machine, original_s: float
-) -> list[str]:
-    """Return at most five lines.
-
-    Parameters
-    ----------
-    warnings : sentences about anything but places that became slower
-    slowed : places that became slower
-    machine : whose limits they are
-    original_s : time of the original print, s
-    """
-    return shortened([*grouped(warnings), *_slowed(slowed, machine, original_s)])
-
-
 def shortened(lines: Sequence[str], most: int = MOST_LINES) -> list[str]:
     """Return no more lines than a person reads."""
     if len(lines) <= most:
@@ -299,7 +284,8 @@ def cause_of(warning: str) -> str:
     return _NUMBER.sub("#", warning)
 
 
-def _slowed(slowed: Sequence[TimeScaling], machine: Machine, original_s: float) -> Iterator[str]:
+def slowed_lines(slowed: Sequence[TimeScaling], machine: Machine, original_s: float) -> Iterator[str]:
+    """Yield a sentence for each limit that made places slower; original_s : time of the original print, s."""
     limits = {each.limit for each in slowed}
     groups = [[each for each in slowed if each.limit == limit] for limit in limits]
     for group in sorted(groups, key=lambda group: -sum(each.seconds for each in group)):

@@ -63,7 +63,7 @@ class Ffcomp(Script):
             path = Path(folder, "print.gcode")
             path.write_bytes(print_text.encode("utf-8", "surrogateescape"))
             result = self._run(path)
-            return path.read_bytes().decode("utf-8", "surrogateescape"), result.get("warning_lines", [])
+            return path.read_bytes().decode("utf-8", "surrogateescape"), result["answer"]["warnings"]
 
     def _run(self, path: Path) -> dict[str, Any]:
         machine, options, executable = map(self.getSettingValueByKey, ("machine", "options", "executable"))

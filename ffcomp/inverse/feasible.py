@@ -183,7 +183,7 @@ def scale_around_cut(
 
 
 def _refuse(records: tuple[TimeScaling, ...]) -> None:
-    raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
+    raise LimitsError(" ".join(record.sentence() for record in records))
 
 
 def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tuple[Trajectory, float]:

@@ -142,8 +142,8 @@ class TimeScaling:
     limit: str  # velocity, acceleration or travel; empty: the firmware's own acceleration
     asked: float  # times the limit, at first
 
-    def sentence(self, verb: str = "slowed") -> str:
-        """Say where moves became slower, by how much and why."""
+    def sentence(self) -> str:
+        """Say where moves would have to become slower, by how much and why."""
         lines = f"{self.first_line}" + (f"-{self.last_line}" if self.last_line != self.first_line else "")
         layer = "" if self.layer is None else f" (layer {self.layer})"
         if self.limit:
@@ -151,7 +151,7 @@ class TimeScaling:
         else:
             why = "the firmware's own acceleration limit leaves too little for its segments"
         percent = f"{100 * self.factor:.0f}" if self.factor < 0.995 else f"{100 * self.factor:.2f}"  # never to 100 %
-        return f"line {lines}{layer}: {verb} to {percent} %, {self.seconds:.2g} s longer: {why}."
+        return f"line {lines}{layer}: would have to be slowed to {percent} %, {self.seconds:.2g} s longer: {why}."
 
 
 @dataclass(frozen=True, slots=True)

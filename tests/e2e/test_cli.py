@@ -141,7 +141,7 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
     assert slowed.exit_code == 0, slowed.output
     result = json.loads(slowed.stdout)
     assert result["slowed"] and result["slowed"][0]["limit"] == "velocity"
-    assert any("slowed to" in sentence and "line" in sentence for sentence in result["warnings"])
+    assert any("Slowed at" in sentence and "velocity" in sentence for sentence in result["warnings"])
     assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
 
 

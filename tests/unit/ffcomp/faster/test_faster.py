@@ -95,11 +95,11 @@ def test_a_bound_that_no_speed_holds_is_told_with_what_is_held_and_nothing_is_wr
     source, target = tmp_path / "squares.gcode", tmp_path / "out.gcode"
     source.write_bytes(prints.squares(2))
     bound: dict[str, Any] = {"output": target, "max_error_um": 1.1, "change_speed": ("first layer",)}
-    result = compensate(source, "mp-delta-pro", **bound).result
-    assert result.faster is not None
-    held = result.faster.contour_p99_um
-    assert held is not None and 1.02 * 1.1 < held < 2.5
-    (sentence,) = [each for each in result.warning_lines if each.startswith("The bound")]
+    found = compensate(source, "mp-delta-pro", **bound)
+    assert found.compensated is not None
+    held = found.compensated.contour_p99_um
+    assert 1.02 * 1.1 < held < 2.5
+    (sentence,) = [each for each in found.warning_lines if each.startswith("The bound")]
     assert f"bound of 1.1 µm is not held: for 99 % of the time the predicted error is below {held:.2g} µm" in sentence
     target.write_text("old")
     with pytest.raises(LimitsError):
