@@ -15,17 +15,26 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
 from models.file import load_machine
 from tests.support.compensated import plainly
-from tests.support.marlin_played import judge, read
+from tests.support.marlin_played import CIRCLE, judge, read
 from validation.invariants import told_apart, violations
 
 
-@pytest.mark.parametrize(("case", "better"), [("tower", 3.0), ("star", 3.0)])
+@pytest.mark.parametrize(("case", "better"), [("tower", 3.0), ("star", 3.0), ("circle", 2.0)])
 def test_marlin_leaves_what_is_predicted(case: str, better: float) -> None:
-    """A cartesian printer, and a delta far from its centre: the contour error's p99 within 1.3 times the prediction."""
+    """A cartesian printer, a delta far out, and slow: the contour error's p99 within 1.3 times the prediction."""
     (_, before, _), (_, after, predicted) = judge(case, 12.0)
     assert after.p99_um < 1.3 * predicted.contour_p99_um
     assert better * after.rms_um < before.rms_um
     assert after.seconds == pytest.approx(before.seconds, rel=0.03)
+
+
+def test_slow_segments_of_a_delta_have_limits_of_its_motors() -> None:
+    """Six steps last longer than a line that Marlin leaves whole; after a line that raises limits they come again."""
+    machine, options = load_machine("mp-delta-pro"), CompensateOptions(flavor="marlin", predict=False)
+    lines = Job(CIRCLE.encode(), "circle", machine, options).lines()
+    text = b"".join(lines)
+    assert text.count(b"\nM203 ") > 100
+    assert re.search(rb"\nM204 P1500\n(M20[1345] .*\n){4}(;~.*\n)*M203 .*\nG1 ", text)
 
 
 @pytest.mark.parametrize("sd", [0.05, 0.2])

@@ -8,11 +8,11 @@ with ffcomp moves the nozzle. Contour error is the distance to the path that Mar
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compensation.job import Job
 from ffcomp.compensation.request import CompensateOptions
@@ -25,17 +25,19 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import SectionClock, path_corners, reference_clock, section_starts
 from gcode.program import Program
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.file import find_machine, load_machine
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
 from validation.plants import delta_plant, straight_plant
 
-FloatArray = NDArray[np.float64]
-
 SAMPLES = Path(__file__).parents[2] / "sample_prints"
-CASES = {  # file, machine, mm by which it is moved
+ARC = (f"G1 X{30 * np.cos(k / 60):.3f} Y{30 * np.sin(k / 60):.3f} E.02" for k in range(1, 200))
+CIRCLE = "\n".join(["G90", "M83", "G28", "G1 X30 Y0 Z.3 F6000", "G1 F480", *islice(ARC, 100), "M204 P1500", *ARC])
+CASES = {  # file or lines, machine, mm by which it is moved
     "tower": ("ringing_tower", "prusa-mk3s", (125.0, 105.0)),
     "star": ("far_star", "mp-delta-pro", (0.0, 0.0)),
+    "circle": (CIRCLE, "mp-delta-pro", (0.0, 0.0)),
 }
 JUDGED_HZ, SETTLE_S = 1600, 0.5  # samples a second that count, and what is left out at first
 DELTA_STEP_S, CHUNK_SAMPLES = 1 / 12800, 4000
@@ -127,10 +129,11 @@ def judge(case: str, seconds: float) -> Iterator[tuple[str, Score, Track]]:
     """Yield the motion as sliced and compensated: what the plant says, and what ffcomp predicts."""
     sliced, name, offset = CASES[case]
     machine = load_machine(name)
-    data = beginning((SAMPLES / f"{sliced}.gcode").read_bytes(), machine, offset, seconds)
+    data = CIRCLE.encode() if sliced == CIRCLE else (SAMPLES / f"{sliced}.gcode").read_bytes()
+    data = beginning(data, machine, offset, seconds)
     original = plan_program(read(data, machine, offset), machine)
     path = path_corners(original.trajectory)
-    lines = Job(data, sliced, machine, CompensateOptions(flavor="marlin", offset_mm=offset)).lines()
+    lines = Job(data, "print", machine, CompensateOptions(flavor="marlin", offset_mm=offset)).lines()
     written = read(b"".join(lines), machine)
     predicted = lines.value.statistics.predicted
     tracks = {} if predicted is None else predicted.forecast(machine, "marlin").tracks
