@@ -10,7 +10,7 @@ their last segment goes straight to the end (planArc in `gcode_arcs.py`, `plan_a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, atan2, ceil, copysign, cos, hypot, sin, sqrt, tau
+from math import acos, atan2, ceil, copysign, cos, dist, sin, sqrt, tau
 
 import numpy as np
 
@@ -39,26 +39,29 @@ class Arc:
     @property
     def radii(self) -> tuple[float, float]:
         """Distance of start and of end from the centre, mm."""
-        return _distance(self.centre, self.start), _distance(self.centre, self.end)
+        return dist(self.centre, self.start), dist(self.centre, self.end)
 
     @property
     def sweep(self) -> float:
         """Signed angle from start to end, rad, counter-clockwise positive; a full turn when they coincide."""
         turn = -1.0 if self.clockwise else 1.0
-        if _distance(self.start, self.end) < _SAME_POINT_MM:
+        if dist(self.start, self.end) < _SAME_POINT_MM:
             return turn * tau
         return turn * ((turn * (self._angle(self.end) - self._angle(self.start))) % tau)
 
     def _angle(self, point: Point2) -> float:
         return atan2(point[1] - self.centre[1], point[0] - self.centre[0])
 
-    def chords(self, tolerance: float = ARC_TOLERANCE_MM, longest: float = MAX_CHORD_MM) -> FloatArray:
-        """Return the ends of the chords, (n, 3): first axis mm, second axis mm, fraction of the arc (0, 1]."""
+    def chords(self, tolerance: float = ARC_TOLERANCE_MM, multiple_of: int = 1) -> FloatArray:
+        """Return the ends of the chords, (n, 3): first axis mm, second axis mm, fraction of the arc (0, 1].
+
+        multiple_of : chords, so that they meet wherever the firmware's do
+        """
         (first, last), sweep, begin = self.radii, self.sweep, self._angle(self.start)
         radius = max(first, last)
         angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
-        pieces = abs(sweep) / min(angle, _COARSEST_ANGLE), abs(sweep) * radius / longest
-        count = max(1, *(ceil(each - 1e-9) for each in pieces))
+        pieces = abs(sweep) / min(angle, _COARSEST_ANGLE), abs(sweep) * radius / MAX_CHORD_MM
+        count = multiple_of * max(1, *(ceil(each / multiple_of - 1e-9) for each in pieces))
         spiral = last - first if abs(last - first) <= _ROUNDING_MM else 0.0
         points = []
         for share in ((k + 1) / count for k in range(count)):
@@ -66,10 +69,6 @@ class Arc:
             points.append((self.centre[0] + radius * cos(angle), self.centre[1] + radius * sin(angle), share))
         points[-1] = (*self.end, 1.0)
         return np.array(points)
-
-
-def _distance(a: Point2, b: Point2) -> float:
-    return hypot(b[0] - a[0], b[1] - a[1])
 
 
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
@@ -82,7 +81,7 @@ def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, l
 
 def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, line: int | None = None) -> Arc:
     """Return the arc of this radius: the shorter of two, the longer when R is negative (NIST RS274/NGC 3.5.3)."""
-    chord = _distance(start, end)
+    chord = dist(start, end)
     if chord < _SAME_POINT_MM:
         raise GcodeError("An arc given by R ends where it starts; a full circle needs I and J.", line)
     if chord / 2 > abs(radius) + _allowance(abs(radius)):

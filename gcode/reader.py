@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gcode import dialects
-from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
+from gcode.arcs import Arc, arc_by_centre, arc_by_radius
 from gcode.commands import MOVED, PASS, Effect, apply
 from gcode.dialect import DIALECTS, BareWords
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -49,14 +49,14 @@ class Reading(TypedDict, total=False):
     offset_mm: tuple[float, float]
     """Added to the toolhead's XY, mm, for prints made for a bed with its origin elsewhere. `ModalState.base` does not
     include it: a writer emits the printer's coordinates. A position named by G92 keeps its name."""
-    arc_tolerance_mm: float
-    """Largest distance between an arc and its chords."""
     returns: Iterable[str]
     """Macros that return the nozzle to its position, in addition to the known ones."""
     still: Iterable[str]
     """Macros that move nothing, in addition to the known ones."""
     filament_change_s: float
     """Duration of a filament change."""
+    arc_chords: Callable[[str, float, float], int]
+    """How many chords a firmware makes of an arc, by its name, the arc's length, mm, and turn, rad."""
     cut: Callable[[Program], Program] | None
     """Cuts moves as the firmware does , if it does; lines are unchanged."""
 
@@ -101,12 +101,12 @@ class _Reader:
 
     def __init__(self, path: str, flavor: str, **settings: Unpack[Reading]) -> None:
         self.path, self.cut = path, settings.get("cut")
-        self.arc_tolerance, start = settings.get("arc_tolerance_mm", ARC_TOLERANCE_MM), settings.get("start")
+        self.arc_chords = settings.get("arc_chords", lambda flavor, length, turn: 1)
         self.modal = Modal(offset=settings.get("offset_mm", (0.0, 0.0)), dialect=DIALECTS[flavor])
         self.modal.returns = frozenset(map(str.upper, settings.get("returns", ())))
         self.modal.still = frozenset(map(str.upper, settings.get("still", ())))
         self.modal.filament_change_s = settings.get("filament_change_s", 0.0)
-        if start is not None:
+        if (start := settings.get("start")) is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # subjects of earlier warnings
         self.lost: tuple[int, str] = (0, "")  # line and command that made the position unknown
@@ -409,7 +409,8 @@ class _Reader:
     def _chords(self, at: int, start: Vector4, end: Vector4, arc: Arc) -> None:
         """Add an arc's chords; height and filament are spread evenly because all are equally long."""
         u, v, normal = self.modal.arc_axes()
-        chords = arc.chords(self.arc_tolerance)
+        length = hypot(arc.sweep * arc.radii[0], end[normal] - start[normal])
+        chords = arc.chords(multiple_of=self.arc_chords(self.modal.dialect.name, length, abs(arc.sweep)))
         points = np.empty((len(chords), 4))
         points[:, (u, v)] = chords[:, :2]
         points[:, normal] = start[normal] + (end[normal] - start[normal]) * chords[:, 2]

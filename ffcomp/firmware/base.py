@@ -137,6 +137,10 @@ class Firmware(Protocol):
         """Cut moves where the firmware begins another block."""
         return program
 
+    def arc_chords(self, length: float, turn: float) -> int:
+        """Return how many chords it makes of an arc of a length, mm, and a turn, rad; 1: where they meet is unknown."""
+        return 1
+
     def longest_part_s(self, machine: Machine) -> float:
         """Return how much motion may be read at a time, s: less where the firmware cuts moves into many."""
         return inf

@@ -19,6 +19,7 @@ import numpy as np
 from ffcomp.firmware.base import AxisLimits, Filament, FilamentCount, FileLimits, Firmware, Inside, Segments
 from ffcomp.firmware.marlin_planner import (
     MarlinPlanner,
+    arc_chords,
     cut_moves,
     extruder_steps_per_mm,
     marlin_settings,
@@ -76,8 +77,12 @@ class Marlin(Firmware):
         return planner_of(program, machine, within)
 
     def cut(self, program: Program, machine: Machine) -> Program:
-        """Cut a delta's lines by time, and arcs by length and turn."""
+        """Cut a delta's lines by time."""
         return cut_moves(program, machine)
+
+    def arc_chords(self, length: float, turn: float) -> int:
+        """Return those of `plan_arc`."""
+        return arc_chords(length, turn)
 
     def longest_part_s(self, machine: Machine) -> float:
         """Return PART_S on deltas."""

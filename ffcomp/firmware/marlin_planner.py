@@ -5,7 +5,7 @@ as its queue (`marlin_queue`). What decides a print's time and its corners is th
 whole steps a second, a block with fewer steps than `minimum_steps` is left out and its target joined to the next one's,
 the brake path in sight caps the speed of short segments, and the first blocks after a rest are slowed on purpose.
 
-    cut        a delta's lines by time, arcs by length and turn, as Marlin cuts them: each move within one block
+    cut        a delta's lines by time, as Marlin cuts them: each move within one block
     settings   what the file itself sets (M201, M203, M204, M205), in force at each move
     blocks     the queue
     share out  each block's trapezoid among the moves that it covers
@@ -14,6 +14,7 @@ the brake path in sight caps the speed of short segments, and the first blocks a
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -51,11 +52,9 @@ from models.machine import Machine, MarlinSettings
 
 TURN_CHORDS = 72  # of an arc that turns once, at least (MIN_CIRCLE_SEGMENTS),
 CHORD_MM = (0.1, 1.0)  # but none shorter or longer than this (MIN_ARC_SEGMENT_MM, MAX_ARC_SEGMENT_MM)
-EXTRUDER_STEPS_PER_MM = 93.0  # where the machine file states none
-SAME_PLACE = 1e-6  # of an arc's length
-STRAIGHT = 1.0 - 1e-9  # cosine between two pieces of a line that is no arc
-ROUND_MM = 1e-3  # distance of an arc's vertices from its circle at most
 WHOLE_CHORD = 1e-3  # of a chord that is not missed
+EXTRUDER_STEPS_PER_MM = 93.0  # where the machine file states none
+STRAIGHT = 1.0 - 1e-9  # cosine between two pieces of a line that is no arc
 EVEN_MM = 1e-4  # between the pieces of a line that is no arc
 LOW_JERK = 0.25  # of x's and y's: below it a tower's jerk was meant for a lead screw
 
@@ -277,7 +276,7 @@ def settings_row(machine: Machine) -> FloatArray:
 
 
 def cut_moves(program: Program, machine: Machine) -> Program:
-    """Cut moves where Marlin begins another block: a delta's lines by time, arcs by length and turn."""
+    """Cut a delta's lines by time, as Marlin does; arcs have been read as chords that meet where Marlin's do."""
     moves = program.moves
     if not len(moves):
         return program
@@ -290,27 +289,20 @@ def cut_moves(program: Program, machine: Machine) -> Program:
     count = np.ones(len(moves), dtype=np.int64)
     if on_delta(machine):
         aside = np.any(change[:, :2] != 0.0, axis=1)
+        for begin, end in _arcs(moves.line, mm, change):
+            aside[begin:end] = False
         per_s = marlin_settings(machine).segments_per_second
         count[aside] = np.maximum((per_s * mm / moves.speed)[aside].astype(np.int64), 1)
-    parts, done, arcs = [], 0, _arcs(moves.line, mm, change)
-    for begin, end in arcs:
-        parts += [_in_equal_parts(done, begin, count), _at_joints(begin, mm[begin:end], change[begin:end])]
-        done = end
-    parts.append(_in_equal_parts(done, len(moves), count))
-    rows, shares = (np.concatenate(column) for column in zip(*parts, strict=True))
-    if len(rows) == len(moves):
+    if (count == 1).all():
         return replace(program, moves=moves)
+    rows, before = np.repeat(np.arange(len(moves)), count), np.append(0, np.cumsum(count))
+    shares = (np.arange(len(rows)) - before[rows] + 1) / count[rows]
     ends = moves.start[rows] + (moves.end - moves.start)[rows] * shares[:, None]
     whole = shares == 1.0
     ends[whole] = moves.end[rows[whole]]
-    for begin, end in arcs:
-        joints = slice(*np.searchsorted(rows, [begin, end]).tolist())
-        vertices = np.vstack([moves.start[begin], moves.end[begin:end]])[:, :2]
-        ends[joints, :2] = _on_circle(ends[joints, :2], vertices)
     begins = np.append(True, whole[:-1])
     starts = np.where(begins[:, None], moves.start[rows], np.roll(ends, 1, axis=0))
     columns = {each.name: getattr(moves, each.name)[rows] for each in fields(Moves)} | {"start": starts, "end": ends}
-    before = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=len(moves)))])
     events = [event._replace(move=int(before[event.move])) for event in program.events]
     return replace(program, moves=Moves(**columns), events=events)
 
@@ -328,43 +320,6 @@ def _low_jerk_warning(program: Program, machine: Machine) -> str:
                 f"{min(x, y):g} like those of X and Y, in the slicer's machine limits."
             )
     return ""
-
-
-def _in_equal_parts(begin: int, end: int, count: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return the pieces of the moves begin..end-1: their moves, and the fraction of the move done at each end."""
-    count = count[begin:end]
-    move = np.repeat(np.arange(begin, end), count)
-    nth = np.arange(len(move)) - np.repeat(np.cumsum(count) - count, count) + 1
-    return move, nth / count[move - begin]
-
-
-def _at_joints(begin: int, mm: FloatArray, change: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the chords of an arc, cut where Marlin's own chords meet."""
-    until = np.append(0.0, np.cumsum(mm))
-    joints = _joints(mm, change)[0]
-    near = SAME_PLACE * until[-1]
-    joints = joints[np.abs(until[np.searchsorted(until, joints - near)] - joints) > near]
-    places = np.sort(np.concatenate([until[1:], joints]))
-    chord = np.minimum(np.searchsorted(until, places - near) - 1, len(mm) - 1)
-    share = np.minimum((places - until[chord]) / mm[chord], 1.0)
-    share[np.searchsorted(places, until[1:])] = 1.0
-    return begin + chord, share
-
-
-def _on_circle(points: FloatArray, vertices: FloatArray) -> FloatArray:
-    """Move points (k, 2) mm of an arc's chords out to its circle, if its vertices (n, 2) lie on one."""
-    n = len(vertices)
-    a, b = vertices[n // 3] - vertices[0], vertices[2 * n // 3] - vertices[0]
-    double_area = 2.0 * (a[0] * b[1] - a[1] * b[0])
-    if double_area == 0.0:
-        return points
-    a2, b2 = a @ a, b @ b
-    centre = vertices[0] + np.array([b[1] * a2 - a[1] * b2, a[0] * b2 - b[0] * a2]) / double_area
-    radius = np.linalg.norm(vertices - centre, axis=1)
-    if np.ptp(radius) > ROUND_MM:
-        return points
-    out = points - centre
-    return np.asarray(centre + out * (radius[0] / np.linalg.norm(out, axis=1))[:, None])
 
 
 def _arcs(line: IntArray, mm: FloatArray, change: FloatArray) -> list[tuple[int, int]]:
@@ -390,26 +345,26 @@ def _chords(moves: Moves) -> _Chords:
     mm = np.linalg.norm(change, axis=1)
     radius, left, length, kept = np.zeros(len(mm)), np.zeros(len(mm)), mm.copy(), np.ones(len(mm), dtype=np.bool_)
     for begin, end in _arcs(moves.line, mm, change):
-        joints, r = _joints(mm[begin:end], change[begin:end])
-        until = np.cumsum(mm[begin:end])
-        at = np.minimum(np.searchsorted(until, joints), end - begin - 1)
-        at -= (at > 0) & (joints - until[at - 1] < until[at] - joints)
-        at += begin
+        total, turn = float(mm[begin:end].sum()), _turn(mm[begin:end], change[begin:end])
+        nth = np.arange(1, arc_chords(total, turn) + 1)
+        at = begin - 1 - (-(end - begin) * nth) // len(nth)  # the file's chords are a multiple, or a part of an arc's
         kept[begin:end] = False
         kept[at] = True
-        length[at], radius[at], left[at] = until[-1] / len(joints), r, until[-1] - joints
+        length[at], radius[at] = total / len(nth), total / max(turn, 1e-9)
+        left[at] = total * (1.0 - nth / len(nth))
         radius[at[0]], left[end - 1] = 0.0, 0.0
     last = np.flatnonzero(kept)
     return _Chords(last, length[last], radius[last], left[last])
 
 
-def _joints(mm: FloatArray, change: FloatArray) -> tuple[FloatArray, float]:
-    """Return where Marlin's chords of an arc end (plan_arc of G2_G3.cpp), (k,) mm along it, and its radius, mm."""
-    total = float(mm.sum())
-    # by how much it turns: the angles between its chords, and half of those that its ends lean by
-    cosine = np.sum(change[1:] * change[:-1], axis=1) / (mm[1:] * mm[:-1])
-    turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum()) / (1.0 - 0.5 * float(mm[0] + mm[-1]) / total)
+def arc_chords(length: float, turn: float) -> int:
+    """Return how many chords Marlin makes of an arc (plan_arc of G2_G3.cpp); length : mm;  turn : rad."""
     shortest, longest = CHORD_MM
-    chord = total * 2.0 * np.pi / (TURN_CHORDS * turn) if turn > 0.0 else total
-    count = int(np.ceil(total / longest)) if chord > longest else int(total / max(chord, shortest) + WHOLE_CHORD)
-    return total * np.arange(1, max(count, 1) + 1) / max(count, 1), total / max(turn, 1e-9)
+    chord = 2.0 * np.pi * length / (TURN_CHORDS * turn) if turn > 0.0 else length
+    return max(ceil(length / longest) if chord > longest else int(length / max(chord, shortest) + WHOLE_CHORD), 1)
+
+
+def _turn(mm: FloatArray, change: FloatArray) -> float:
+    """Return by how much an arc turns, rad: the angles between its chords, and half of those that its ends lean by."""
+    cosine = np.sum(change[1:] * change[:-1], axis=1) / (mm[1:] * mm[:-1])
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum()) / (1.0 - 0.5 * float(mm[0] + mm[-1]) / float(mm.sum()))

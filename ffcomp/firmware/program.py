@@ -51,7 +51,10 @@ def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
     def cut(program: Program) -> Program:
         return firmware_of(program).cut(program, machine)
 
-    return {"returns": machine.returns, "still": machine.still, "cut": cut}
+    def arc_chords(flavor: str, length: float, turn: float) -> int:
+        return FIRMWARES[flavor].arc_chords(length, turn)
+
+    return {"returns": machine.returns, "still": machine.still, "arc_chords": arc_chords, "cut": cut}
 
 
 def read_as_planned(
