@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.firmware.program import plan_program
 from ffcomp.simulation.command import Command
@@ -17,12 +16,11 @@ from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import read_command, simulate_command
 from ffcomp.steps.archive import MotorSteps
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.machines import host_machine
 from validation import kalico
-
-FloatArray = NDArray[np.float64]
 
 STEP_MM = 0.0125
 CLOCK_HZ = 64_000_000.0

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gcode.program import Moves
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 RADIUS_MM = 139.0  # of the random places: reaches into both slow zones of the oracle's printer
 

@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from ffcomp.compensation.gcode_layout import Tile, tiles, timeline
 from ffcomp.compensation.gcode_writer import GcodeRenderer
@@ -19,9 +18,8 @@ from ffcomp.inverse.settings import CUT, Settings, settings_for
 from gcode.dialect import KLIPPER
 from gcode.embedded import original
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from tests.support.machines import machine
-
-FloatArray = NDArray[np.float64]
 
 
 @cache

@@ -10,9 +10,9 @@ from scipy.signal import cont2discrete, lfilter
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, settings_for
+from models.arrays import FloatArray
 from models.file import load_machine
 
-FloatArray = NDArray[np.float64]
 KNOT_S, FINE = 0.004, 16
 MODES = {0: (50.7, 0.1), 1: (40.6, 0.1)}  # of prusa-mk3s, Hz and damping ratio
 

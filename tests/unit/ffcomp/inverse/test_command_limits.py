@@ -7,7 +7,6 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.inverse.command_limits import (
     ACCELERATION,
@@ -18,9 +17,8 @@ from ffcomp.inverse.command_limits import (
     utilisation_from_rest,
 )
 from ffcomp.inverse.nearest import nearest_within_limits
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 S = 0.004
 DENSE = 400  # samples a segment

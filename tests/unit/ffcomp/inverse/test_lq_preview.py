@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.firmware.program import plan_program
 from ffcomp.inverse import solve as fast
@@ -22,10 +21,9 @@ from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.machine import Machine
 from tests.support.exact_inverse import solve_exactly
-
-FloatArray = NDArray[np.float64]
 
 SETTINGS = Settings()
 CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"

@@ -9,7 +9,6 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensation.solve import solutions
@@ -21,6 +20,7 @@ from ffcomp.inverse.nonlinear import FrictionBacklash, guide_friction
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import Sweep
+from models.arrays import FloatArray
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.kinds import delta_vibration
@@ -104,8 +104,6 @@ def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
 
 # ---- friction backlash ----
 
-
-FloatArray = NDArray[np.float64]
 
 ROW_S = 1e-3
 

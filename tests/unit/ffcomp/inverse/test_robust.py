@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, contour
@@ -20,13 +19,13 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
 from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.playback import simulate_nozzles
+from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine, with_values
 from tests.support.compensated import plainly
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
 
-FloatArray = NDArray[np.float64]
 PLACE = np.array([40.0, -30.0, 5.0])
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, plan_program, plan_section
@@ -24,10 +23,9 @@ from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves, Program
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 START = (-60.0, 20.0, 0.3)
 # a gentle line, a square that is driven fast, a gentle line; each line of its own number

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits, bounds_of, lines_of
@@ -17,9 +17,8 @@ from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Moves
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from tests.support.programs import moves_through, random_program
-
-FloatArray = NDArray[np.float64]
 
 LIMITS = PlannerLimits(
     velocity_mm_per_s=300.0,

@@ -16,9 +16,8 @@ from ffcomp.planner.segment_merging import (
     merge,
     refit,
 )
+from models.arrays import FloatArray
 from tests.unit.ffcomp.planner.test_trajectory import wave
-
-FloatArray = NDArray[np.float64]
 
 LIMITS = MergeLimits(1.5e-3, 4e-3, 2e-4, 64.0)
 

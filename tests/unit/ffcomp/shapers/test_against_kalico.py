@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
@@ -24,12 +23,10 @@ from ffcomp.shapers import calibration as calibrate
 from ffcomp.shapers.apply import Position
 from ffcomp.shapers.pulses import USUAL
 from gcode.reader import read_program
-from models.arrays import constant
+from models.arrays import FloatArray, constant
 from models.file import load_machine
 from models.kinematics.delta import DeltaKinematics
 from validation import kalico
-
-FloatArray = NDArray[np.float64]
 
 pytestmark = pytest.mark.kalico
 

@@ -6,18 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.shapers.apply import on_grid, shape_samples
 from ffcomp.shapers.search import Scan, search
-from models.arrays import constant
+from models.arrays import FloatArray, constant
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.modal import Axis, ModalAxes
-
-FloatArray = NDArray[np.float64]
 
 STEP_S, MARGIN = 5e-4, 200
 MAKERS = {

@@ -8,7 +8,6 @@ from typing import get_type_hints
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.comparison.methods import NAMES as COMPARED
@@ -16,13 +15,11 @@ from ffcomp.comparison.request import CompareRequest
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibrations
 from ffcomp.shapers import calibration as calibrate
-from models.arrays import constant
+from models.arrays import FloatArray, constant
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from tests.support.data import DATA, needed
-
-FloatArray = NDArray[np.float64]
 
 FOLDER = DATA / "vibration" / "klipper_resonances_bassco"
 NAMES = [f"v24__calibration_data_{axis}_{when}.csv" for when in ("20220611_200739", "20230306_225431") for axis in "xy"]

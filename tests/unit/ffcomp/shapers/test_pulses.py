@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.shapers.pulses import PULSES
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 names = st.sampled_from([*PULSES])
 frequencies = st.floats(10.0, 200.0)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
@@ -20,13 +19,12 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.machine import Steps
 from tests.support.machines import host_machine
 from tests.support.pieces import trajectory_pieces
 from validation import kalico
 from validation.judge import HOST_KNOWS
-
-FloatArray = NDArray[np.float64]
 
 pytestmark = pytest.mark.kalico
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, Pieces, knot_pieces, last_step, step_times
+from models.arrays import FloatArray
 from models.file import load_machine
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 GEOMETRY = load_machine("mp-delta-pro").kinematics
