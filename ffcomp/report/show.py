@@ -93,8 +93,8 @@ def _worst(curve: Curve, z_mm: float | None) -> tuple[FloatArray, float]:
 
 def _near(curve: Curve, at: FloatArray, reach_mm: float = np.inf) -> BoolArray:
     """Return where plastic flows in the layer (all moves if it flows nowhere), and no further away than this."""
-    away, shown = np.abs(curve.reference - at), curve.extruding | (not curve.extruding.any())
-    return shown & (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach_mm)
+    away = np.abs(curve.reference - at)
+    return curve.shows & (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach_mm)
 
 
 def _close_up(axes: Axes, preview: Preview, at: FloatArray, half: float) -> None:
@@ -120,7 +120,7 @@ def _by_layer(axes: Axes, preview: Preview) -> None:
         axes.semilogx(
             np.maximum(error_um, LEAST_UM), z_mm, ".-", color=colour, linewidth=1, label=f"{name} compensation"
         )
-    axes.set(xlabel="contour error where plastic flows, µm rms", ylabel="Z, mm", title="Error by layer")
+    axes.set(xlabel="contour error, µm rms", ylabel="Z, mm", title="Error by layer")
     plain_decades(axes.xaxis)
     grid(axes)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False, fontsize=8)

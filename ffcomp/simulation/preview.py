@@ -15,13 +15,7 @@ from ffcomp.firmware.program import PlannedProgram
 from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.shapers import Shaper
-from ffcomp.simulation.command import (
-    Motion,
-    command_peaks,
-    motion_of,
-    path_corners,
-    planned_motion,
-)
+from ffcomp.simulation.command import Motion, command_peaks, motion_of, path_corners, planned_motion
 from ffcomp.simulation.command_files import read_compensated
 from ffcomp.simulation.expectation import Piece, expectation, pieces_of
 from ffcomp.simulation.forecast import WAYS, Forecast
@@ -49,10 +43,15 @@ class Curve:
     outer_wall: BoolArray  # (m,) and it is a wall that is seen from outside
     peak: float = 0.0  # mm/s², largest acceleration of a carriage's command
 
+    @property
+    def shows(self) -> BoolArray:
+        """(m,) plastic flows; all of them if it flows nowhere."""
+        return self.extruding | (not self.extruding.any())
+
     def by_height(self) -> tuple[FloatArray, FloatArray]:
-        """Return Z (n,) mm and the contour error there where plastic flows, (n,) µm rms, from the bottom up."""
-        z, which = np.unique(np.round(self.reference[self.extruding, 2] / HEIGHT_MM), return_inverse=True)
-        squares = np.bincount(which, (1e3 * self.contour[self.extruding]) ** 2) / np.bincount(which)
+        """Return Z (n,) mm and the contour error there, (n,) µm rms, from the bottom up: of what `shows`."""
+        z, which = np.unique(np.round(self.reference[self.shows, 2] / HEIGHT_MM), return_inverse=True)
+        squares = np.bincount(which, (1e3 * self.contour[self.shows]) ** 2) / np.bincount(which)
         return HEIGHT_MM * z, np.sqrt(squares)
 
     @property
