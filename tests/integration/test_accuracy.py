@@ -81,7 +81,7 @@ CROOKED = {
     "delta_radii_mm": [139.2, 140.6, 140.1],
     "tower_angles_deg": [211.3, 329.2, 90.8],
 }
-LAYERS = 2
+LAYERS = 1
 
 
 def crooked_machine(folder: Path) -> Path:

@@ -161,9 +161,11 @@ def written(made: Case, bank: Path, name: str = "case-001") -> Path:
 
 
 def test_a_seed_is_a_case() -> None:
-    one, same, other = (case(seed, "delta/single/usual:cogging", SECONDS) for seed in (4, 4, 5))
+    one, same, other = (case(seed, "axis/nothing/usual:none", SECONDS) for seed in (4, 4, 5))
     assert (one.machine, one.runs, one.label) == (same.machine, same.runs, same.label)
     assert one.machine != other.machine
+    one, same, other = (draw(seed, "delta/single/usual:cogging", SECONDS) for seed in (4, 4, 5))
+    assert (one.text, one.label) == (same.text, same.label) and one.label.effects != other.label.effects
 
 
 def test_energy_is_kept_without_dampers() -> None:

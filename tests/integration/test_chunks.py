@@ -61,9 +61,9 @@ def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) 
 
 @pytest.fixture(scope="module")
 def spiral() -> bytes:
-    """A vase of 3,000 facets in one go, with lines between them, and rests before and after."""
+    """A vase of 1,500 facets in one go, with lines between them, and rests before and after."""
     lines = [b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n;TYPE:Perimeter\n"]
-    for k in range(3_000):
+    for k in range(1_500):
         a, r = 0.036 * k, 25 + 2 * np.sin(0.252 * k)
         lines.append(b"G1 X%.3f Y%.3f Z%.4f E.03 F4800\n" % (r * np.cos(a), r * np.sin(a), 0.3 + 0.002 * k))
         lines += [b"M106 S%d\n" % (k % 255), b";LAYER_CHANGE\n"] if k % 250 == 249 else []
@@ -72,7 +72,7 @@ def spiral() -> bytes:
 
 @pytest.fixture
 def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
-    monkeypatch.setattr("ffcomp.compensation.chunks.MOST_MOVES", 1000)
+    monkeypatch.setattr("ffcomp.compensation.chunks.MOST_MOVES", 500)
 
 
 def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:

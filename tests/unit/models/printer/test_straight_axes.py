@@ -19,7 +19,7 @@ from models.vibration.modal import Axis, ModalAxes
 from models.vibration.state_space import discretise
 
 RATE_HZ = 1600
-AXES = (Axis([57.0, 90.0, 130.0], [0.07, 0.05, 0.04], [1.0, 0.3, -0.3]), Axis([48.0], [0.07]), Axis())
+AXES = (Axis([57.0, 90.0], [0.07, 0.05], [1.2, -0.2]), Axis([48.0], [0.07]), Axis())  # more modes compile for 10 s
 OMEGA = 2 * np.pi * 48.0
 
 
@@ -248,8 +248,8 @@ FRICTIONS = {
     ids="+".join,
 )
 def test_a_mode_that_takes_no_part_in_the_motion_changes_nothing(tables: dict[str, Any]) -> None:
-    axes = (Axis([57.0, 90.0], [0.07, 0.05], [1.2, -0.2]), Axis([48.0], [0.07]), Axis())
-    more = (Axis([40.0, 57.0, 90.0], [0.05, 0.07, 0.05], [0.0, 1.2, -0.2]), *axes[1:])
+    axes = (Axis([57.0], [0.07]), Axis([48.0], [0.07]), Axis())
+    more = (Axis([40.0, 57.0], [0.05, 0.07], [0.0, 1.0]), *axes[1:])
     each = (machine(COREXY, each, **tables) for each in (axes, more))
     one, other = (simulate_printer(own, shaken(0.2), 1 / RATE_HZ, substeps=8) for own in each)
     for name in ("nozzle_mm", "carriage_mm", "motor_mm", "nozzle_velocity", "carriage_velocity"):
