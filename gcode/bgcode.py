@@ -297,7 +297,7 @@ def _without_old_times(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _masked(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Mask comments that look like metadatabetween the print's commands; real metadata is before and after them."""
+    """Mask comments that look like metadata between the print's commands; real metadata is before and after them."""
     begun, waiting = False, list[bytes]()
     for line in lines:
         if not line.startswith((b";", b"\r", b"\n")) and not line.rstrip().endswith(OURS):

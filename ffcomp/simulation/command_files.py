@@ -19,6 +19,7 @@ from ffcomp.shapers import Shaper
 from ffcomp.simulation.command import (
     Command,
     CommandSection,
+    Motion,
     SectionClock,
     path_corners,
     reference_clock,
@@ -70,7 +71,7 @@ class PlannedPrint:
     def command(self, machine: Machine) -> Command:
         """Return the file as a command, evaluated against the path of the original."""
         executed, plan = self.written.trajectory, self.original.trajectory
-        kinematics, (path_t, path) = machine.kinematics.compiled(), path_corners(plan)
+        path_t, path = path_corners(plan)
 
         def corners(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
             first, last = max(int(np.searchsorted(path_t, from_s)) - 1, 0), int(np.searchsorted(path_t, to_s, "right"))
@@ -79,9 +80,7 @@ class PlannedPrint:
         def section(begin_s: float, end_s: float) -> CommandSection:
             last = float(np.nextafter(end_s, -np.inf))  # at the end itself the next section may have begun
             position = resting(lambda t: executed.position(t)[:, :3], begin_s, last, self.by_axis)
-
-            def actuators(t: FloatArray) -> FloatArray:
-                return kinematics.inverse(np.ascontiguousarray(position(t)))
+            actuators = Motion(position, begin_s, end_s, self.clock).actuators(machine)
 
             def plan_time(t: FloatArray) -> FloatArray:
                 return self.clock.plan_time(np.clip(t, begin_s, last))
