@@ -46,8 +46,7 @@ _PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the next tool comes from the dock
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
 MOVED = Effect(EventKind.STOP, moves_itself=True)
-RETURNED = Effect(EventKind.STOP, moves_itself=True, returns=True)  # to the position before it
-STAYED = Effect(EventKind.STOP, returns=True)  # it moves nothing; if it does after all, it returns
+RETURNED = Effect(EventKind.STOP, returns=True)  # to the position before it, if it moves at all
 UNKNOWN = Effect(EventKind.STOP, unknown=True, moves_itself=True)
 
 
@@ -55,8 +54,6 @@ def apply(modal: Modal, command: Command) -> Effect:
     """Apply one command; unknown ones stop the motion, because they may move the machine."""
     if command.name in modal.returns:
         return RETURNED
-    if command.name in modal.still:
-        return STAYED
     own = OWN_EFFECTS[modal.dialect.commands]
     if effect := own.get(command.name) or EFFECTS.get(command.name):
         return effect if isinstance(effect, Effect) else effect(modal, command)
@@ -407,18 +404,16 @@ _RESTING = str.split("""
     M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
     MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
 """)
-# Macros that return to where they started; docs/DIALECTS.md has the evidence for each group.
+# Macros that return to where they started. The last four groups move nothing unless the owner configured it: timelapse
+# of Moonraker, Mainsail, Creality, Qidi, whose parking is off by default; fans, lamps, states and layer hooks of Voron,
+# Klippain, RatOS, Creality.
 RETURNING_MACROS = {
-    "pauses, filament changes: what they move may ring": str.split("M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME"),
-    "wiping: likewise": str.split("""
+    "pauses, filament changes": str.split("M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME"),
+    "wiping": str.split("""
         CLEAN_NOZZLE NOZZLE_CLEAN CLEANNOZZLE WIPE_NOZZLE NOZZLE_WIPE NOZZLE_CLEANING NOZZLE_SCRUB SCRUB_NOZZLE
         BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
     """),
-}
-# These move nothing unless the owner configured it, and then return: timelapse of Moonraker, Mainsail, Creality,
-# Qidi, whose parking is off by default; fans, lamps, states and layer hooks of Voron, Klippain, RatOS, Creality.
-STILL_MACROS = {
-    "photographs; list yours under `returns` if it parks the nozzle": str.split("""
+    "photographs": str.split("""
         M240 TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
         TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
     """),
@@ -462,8 +457,7 @@ _REFUSED = str.split("""
 EFFECTS: dict[str, Handler | Effect] = {
     **dict.fromkeys(_PASSING, PASS),
     **dict.fromkeys([*_RESTING, *_STILL], STOP),
-    **dict.fromkeys(chain(*RETURNING_MACROS.values()), RETURNED),
-    **dict.fromkeys(chain(*STILL_MACROS.values(), _OBJECTS), STAYED),
+    **dict.fromkeys(chain(*RETURNING_MACROS.values(), _OBJECTS), RETURNED),
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),
     **dict.fromkeys(("G17", "G18", "G19", "G20", "G21", "G90", "G91", "M82", "M83"), _mode),

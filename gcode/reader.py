@@ -51,8 +51,6 @@ class Reading(TypedDict, total=False):
     include it: a writer emits the printer's coordinates. A position named by G92 keeps its name."""
     returns: Iterable[str]
     """Macros that return the nozzle to its position, in addition to the known ones."""
-    still: Iterable[str]
-    """Macros that move nothing, in addition to the known ones."""
     filament_change_s: float
     """Duration of a filament change."""
     arc_chords: Callable[[str, float, float], int]
@@ -104,7 +102,6 @@ class _Reader:
         self.arc_chords = settings.get("arc_chords", lambda flavor, length, turn: 1)
         self.modal = Modal(offset=settings.get("offset_mm", (0.0, 0.0)), dialect=DIALECTS[flavor])
         self.modal.returns = frozenset(map(str.upper, settings.get("returns", ())))
-        self.modal.still = frozenset(map(str.upper, settings.get("still", ())))
         self.modal.filament_change_s = settings.get("filament_change_s", 0.0)
         if (start := settings.get("start")) is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]

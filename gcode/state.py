@@ -62,7 +62,6 @@ class Modal:
     saved: dict[str, Saved] = field(default_factory=dict)
     pushed: list[tuple[bool, bool, float, float]] = field(default_factory=list)  # M120: modes, feed, unit
     returns: frozenset[str] = frozenset()  # macros that return, in addition to those of gcode.commands
-    still: frozenset[str] = frozenset()  # macros that move nothing
     conditions: list[Whereabouts] = field(default_factory=list)  # position at each open M622
 
     def __post_init__(self) -> None:

@@ -133,8 +133,7 @@ class Machine:
     provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> source of the number, free text
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
-    returns: tuple[str, ...] = ()  # macros that return the nozzle to its position
-    still: tuple[str, ...] = ()  # macros that move nothing
+    returns: tuple[str, ...] = ()  # macros that return the nozzle to its position, or do not move it
     input_shaper: tuple[str, ...] | None = None  # commands that switch the firmware's own on; None: unknown
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: unknown
     firmware_version: tuple[int, ...] = ()  # its numbers, such as (2, 1, 2); empty: unknown

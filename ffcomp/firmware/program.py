@@ -54,7 +54,7 @@ def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
     def arc_chords(flavor: str, length: float, turn: float) -> int:
         return FIRMWARES[flavor].arc_chords(length, turn)
 
-    return {"returns": machine.returns, "still": machine.still, "arc_chords": arc_chords, "cut": cut}
+    return {"returns": machine.returns, "arc_chords": arc_chords, "cut": cut}
 
 
 def read_as_planned(

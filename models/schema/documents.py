@@ -194,7 +194,6 @@ class PrinterDocument(Document):
             sha256=sha256,
             path=path,
             returns=tuple(self.macros.returns or ()),
-            still=tuple(self.macros.still or ()),
             input_shaper=None if firmware.input_shaper is None else tuple(firmware.input_shaper),
             flavor=firmware.flavor or "",
             firmware_version=tuple(map(int, re.findall(r"\d+", firmware.version or ""))),

@@ -158,7 +158,6 @@ class MacrosTable(Table):
     """`[macros]`: the printer's own macros."""
 
     returns: list[MacroName] | None = None
-    still: list[MacroName] | None = None
 
 
 def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:

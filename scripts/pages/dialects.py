@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from gcode.commands import RETURNING_MACROS, STILL_MACROS
+from gcode.commands import RETURNING_MACROS
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
@@ -49,9 +49,7 @@ def page() -> str:
         return f"| `{match[1]}` | {match[2]} | {outcome(_code(match[1]), match[2] or 'marlin')} |"
 
     text = _ROW.sub(row, PAGE.read_text(encoding="utf-8"))
-    macros = {
-        what: " ".join(f"`{name}`" for name in names) for what, names in (RETURNING_MACROS | STILL_MACROS).items()
-    }
+    macros = {what: " ".join(f"`{name}`" for name in names) for what, names in RETURNING_MACROS.items()}
     for head, table in (("outcome | the line in the output", OUTCOMES), ("kind | names", macros)):
         lines = "".join(f"| {key} | {value} |\n" for key, value in table.items())
         text = re.sub(_TABLE.format(re.escape(head)), lambda _, lines=lines: lines, text, flags=re.MULTILINE)  # type: ignore[misc]
