@@ -162,12 +162,12 @@ def read_bytes(path: str | Path, plate: int | None = None) -> bytes:
         return b"".join(text.blocks(source))
 
 
-def ends_of(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
+def ends_of(source: Source) -> tuple[bytes, bytes, int]:
     """Read the first and last bytes of a file's G-code, and its size; of the first print if there are several."""
     if not isinstance(source, Path):
-        return text.ends(source, reach)
+        return text.ends(source)
     with opened(source) as container:
-        return text.ends(next(iter(container.prints.values())), reach)
+        return text.ends(next(iter(container.prints.values())))
 
 
 def blocks_of(source: Source, block: int = BLOCK) -> Iterator[bytes]:

@@ -57,16 +57,16 @@ class Text:
 Source = bytes | Path | Text
 
 
-def ends(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
+def ends(source: Source) -> tuple[bytes, bytes, int]:
     """Read the first and the last bytes of plain G-code, and its size."""
     if isinstance(source, bytes):
-        return source[:reach], source[-reach:], len(source)
+        return source[:ENDS], source[-ENDS:], len(source)
     if isinstance(source, Text):
-        return source.head[:reach], source.tail[-reach:], source.size
+        return source.head, source.tail, source.size
     with open(source, "rb") as file:
-        head = file.read(reach)
+        head = file.read(ENDS)
         size = file.seek(0, os.SEEK_END)
-        file.seek(max(size - reach, 0))
+        file.seek(max(size - ENDS, 0))
         return head, file.read(), size
 
 

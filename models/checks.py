@@ -58,7 +58,7 @@ def check_physics(machine: Machine) -> PhysicsChecks:
     return PhysicsChecks(replace(growth, value=-growth.value), _smallest(np.asarray(dissipated), xy))
 
 
-def unstable_positions(machine: Machine, radii: int = RADII, directions: int = DIRECTIONS) -> FloatArray:
+def unstable_positions(machine: Machine) -> FloatArray:
     """Find the positions, on a polar grid over the bed, with a vibration that does not decay.
 
     The pole at zero of a free axis does not count.
@@ -68,7 +68,7 @@ def unstable_positions(machine: Machine, radii: int = RADII, directions: int = D
     (k, 2) mm, columns X Y; empty for a stable machine.
     """
     kinematics, everywhere = machine.kinematics, machine.vibration.position_dependent
-    xy = kinematics.rings(radii - 1, directions) if everywhere else np.array([*kinematics.sample_positions.values()])
+    xy = kinematics.rings(RADII - 1, DIRECTIONS) if everywhere else np.array([*kinematics.sample_positions.values()])
     poles = machine.vibration.poles(xy)
     vibrates = np.abs(poles) > ROUNDING_RTOL * np.abs(poles).max(axis=1, keepdims=True)
     return xy[np.any(vibrates & (poles.real >= 0), axis=1)]

@@ -44,10 +44,10 @@ def slopes_of_modes(
 class WindowedPower:
     """What the lines of a spectrum (k,) show of a response, through a Kaiser window (β = 6) of one line's width."""
 
-    def __init__(self, frequency_hz: FloatArray, line_hz: float, exponent: float = 2.0) -> None:
+    def __init__(self, frequency_hz: FloatArray, line_hz: float) -> None:
         offset, self._window = window_kernel()  # (w,)
         self.fine_hz = np.maximum(frequency_hz[:, None] + offset * line_hz, 1e-3)  # (k, w)
-        self.excitation = (self.fine_hz / frequency_hz.mean()) ** exponent
+        self.excitation = (self.fine_hz / frequency_hz.mean()) ** 2
 
     def power(self, response: ComplexArray) -> FloatArray:
         """Return S, (k,), of a response (k, w) at `fine_hz`."""

@@ -44,13 +44,13 @@ def new_id() -> str:
     return secrets.token_hex(8)
 
 
-def safe_name(name: str, default: str = "file") -> str:
+def safe_name(name: str) -> str:
     """Return the last part of a name, of letters that no file system or command line takes for anything else."""
     last = re.split(r"[/\\]", name)[-1]
     kept = re.sub(r"[^\w.,=+ -]", "_", last).strip(" .-")
     if len(kept) > LONGEST_NAME:  # keep the suffix
         kept = kept[: LONGEST_NAME - 20] + kept[-20:]
-    return kept or default
+    return kept or "file"
 
 
 def is_full(error: BaseException) -> bool:

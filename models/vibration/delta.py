@@ -194,13 +194,9 @@ class DeltaVibration(VibrationModel):
         """Return the diagonal of W(s) (Eq. 61), (k, 3) N/m, columns X Y Z: nozzle position to force; s (k,) 1/s."""
         return np.asarray(s[:, None] ** 2 * sub.apparent_mass(self.effector, self.nozzle_side_mass_kg, s))
 
-    def struck_frf(self, s: ComplexArray, with_arms: bool = False) -> ComplexArray:
-        """Return acceleration over force of the nozzle holder, hanging free: (k, 3) 1/kg along X Y Z at s (k,) 1/s.
-
-        By default Eq. 45, the effector by itself; `with_arms` their lower halves ride along, and this is s²/W.
-        """
-        nozzle_side = self.nozzle_side_mass_kg if with_arms else self.effector.nozzle_mass_kg
-        return np.asarray(1 / sub.apparent_mass(self.effector, nozzle_side, s))
+    def struck_frf(self, s: ComplexArray) -> ComplexArray:
+        """Return acceleration over force of the effector by itself, hanging free (Eq. 45): (k, 3) 1/kg along X Y Z."""
+        return np.asarray(1 / sub.apparent_mass(self.effector, self.effector.nozzle_mass_kg, s))
 
     def mechanics(self, xy: FloatArray) -> FloatArray:
         """Return d/dt of (q, η, q̇, η̇), (n, 12, 12)."""
