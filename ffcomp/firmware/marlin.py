@@ -212,7 +212,7 @@ class MarlinSegments(Segments):
         way = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6)
         meant, fastest = way / lasting, np.abs(change[:, :3]).max(axis=1) / way
         too_short = steps < lasting * self.settings.segments_per_second * (self.settings.minimum_steps_per_segment + 1)
-        pace, uncut = meant.copy(), np.where(too_short, way / self.longest_s, 0.0)
+        pace, uncut = meant.copy(), np.where(too_short, straight / self.longest_s, 0.0)
         lengths = np.full(len(mm), np.nan) if by_motors else straight
         settings = np.tile(row.astype(np.float32), (len(mm), 1))
         for sweep in range(SWEEPS + 1):
