@@ -195,13 +195,13 @@ def fit_good() -> Image.Image:
 
 
 def fit_weak() -> Image.Image:
-    """The same captures with twenty times the noise, as of a sensor that hangs on tape."""
+    """The same captures with eight times the noise, as of a sensor that hangs on tape."""
     follow("MEASURE", until="## 3.")
     rng = np.random.default_rng(2)
     captures = sorted(Path("captures").glob("*.csv"))
     for path in captures:
         rows = np.loadtxt(path, delimiter=",")
-        rows[:, 1:] += 3000.0 * rng.normal(size=(len(rows), 3))
+        rows[:, 1:] += 1200.0 * rng.normal(size=(len(rows), 3))
         np.savetxt(path, rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
     known = ("--known", "effector.total_mass_kg=0.600±0.002")
     options = ("--plan", "excite.json", "-m", "my-delta.toml", *known, "--figure", "weak.png", "--quiet")
