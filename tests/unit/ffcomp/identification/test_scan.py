@@ -149,34 +149,26 @@ def lines_as_drawn(plan: Plan, plant: Plant, bead: Bead, seed: int) -> list[Read
 
 
 @pytest.mark.parametrize(
-    ("printer", "bead"),
+    ("printer", "bead", "axes"),
     [
         # x rings at 78.1 Hz with much friction where the file says 57: at 50 Hz the lines look more alike at first
-        (STIFF, Bead(pressure_s=0.004)),
+        (STIFF, Bead(pressure_s=0.004), "x"),
         # waves that end after 5 mm of 25, on rough lines: roughness is no wave that the machine fails to explain
-        (QUICK, Bead(drag_mm=0.28, bore_mm=0.34, rough_mm=0.01, rough_length_mm=0.28)),
+        (QUICK, Bead(drag_mm=0.28, bore_mm=0.34, rough_mm=0.01, rough_length_mm=0.28), "xy"),
     ],
 )
-def test_two_cells_tell_frequencies_far_from_the_file(machine: Machine, printer: Plant, bead: Bead) -> None:
+def test_two_cells_tell_frequencies_far_from_the_file(machine: Machine, printer: Plant, bead: Bead, axes: str) -> None:
     plan = make_page(machine, PageRequest())
     cells = replace(plan, experiments=tuple(each for each in plan.experiments if each.place < 2))
-    fit = fit_page(machine, lines_as_drawn(cells, printer, bead, 5004), 0.45)
-    for axis, name in enumerate("xy"):
+    lines = [
+        each for each in lines_as_drawn(cells, printer, bead, 5004) if abs(each.line.across[0]) > 0.5 or "y" in axes
+    ]
+    fit = fit_page(machine, lines, 0.45)
+    for axis, name in enumerate(axes):
         frequency = fit.estimates[f"axes.{name}.frequency_hz[0]"]
         assert frequency.value == pytest.approx(printer.axis_modes(axis)[0][0], rel=0.02)
         assert frequency.relative_sd < 0.02
-
-
-def test_roughness_of_a_damped_printers_page_counts_as_roughness() -> None:
-    """By the half of a line that waves least, which is the least rough one, a fourth of them seemed unexplained."""
-    plan = make_page(machine := load_machine("ender-3"), PageRequest())
-    cells = replace(plan, experiments=tuple(each for each in plan.experiments if each.place < 2))
-    damped = Plant(carriage_kg=(0.5, 0.8), belt_n_per_m=(42_500.0, 54_550.0), guide_n_s_per_m=(53.4, 81.1))
-    fit = fit_page(machine, lines_as_drawn(cells, damped, Bead(rough_mm=0.012), 3), 0.45)
-    found = [fit.estimates[f"axes.{axis}.frequency_hz[0]"].value for axis in "xy"]
-    assert (
-        found == pytest.approx([damped.axis_modes(axis)[0][0] for axis in range(2)], rel=0.02) and fit.explained > 0.95
-    )
+    assert fit.explained > 0.93  # by the calm halves of the rough lines, which are also the less rough ones: 0.916
 
 
 def test_a_strong_second_mode_is_written_and_none_where_there_is_none() -> None:
