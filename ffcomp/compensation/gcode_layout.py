@@ -8,7 +8,6 @@ around them in sight, what the whole run says.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -104,7 +103,7 @@ def timeline(
     lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
     laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first, reference.shortest_knots))
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
-    _meet_the_events(laid, program, run, lines, among, reference.lead_at)
+    _meet_the_events(laid, program, run, lines, among)
     lead_s = run.begin_t - reference.t0
     return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
 
@@ -221,19 +220,10 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
     return places
 
 
-def _meet_the_events(
-    laid: _Laid,
-    program: Program,
-    run: Section,
-    lines: _Lines,
-    among: list[Event],
-    lead_at: Callable[[FloatArray], FloatArray],
-) -> None:
+def _meet_the_events(laid: _Laid, program: Program, run: Section, lines: _Lines, among: list[Event]) -> None:
     """Restore the original's filament, in place, at events where a flow begins, ends or turns back.
 
     In the middle of a flow it is off by a micrometre: the plan does not run as evenly from knot to knot as the command.
-
-    lead_at : returns the filament's lead for the hot end's pressure, mm, at places in knots
     """
     events = (lines.event >= 0) & (lines.move > run.first)
     if not events.any():
@@ -242,7 +232,7 @@ def _meet_the_events(
     move, place, point = lines.move[events], laid.place[events], laid.point[events]
     turns = np.flatnonzero(~((end[move - 1] - start[move - 1]) * (end[move] - start[move]) > 0.0))
     turns = turns[np.flatnonzero(np.diff(place[turns], append=np.inf))]  # the last at each place
-    filament[point[turns]] = start[move[turns]] + lead_at(place[turns])
+    filament[point[turns]] = start[move[turns]]
     # where an event gives the filament's place another number (G92 E0), it must be exact: later it never would be
     frames = [program.frames[among[k].frame].base[3] for k in lines.event[events].tolist()]
     renamed = np.array([program.frames[k].base[3] for k in program.moves.frame[move - 1].tolist()]) != frames

@@ -101,9 +101,7 @@ class GcodeRenderer:
             if tile.end == end < reference.knots and self._extent.end is not None:
                 # where whole steps keep a motion that was slowed down from ending at a knot, the next one resumes here
                 t = self._extent.end.time_in(solved.trajectory)
-                ends = float(solved.trajectory.position(np.array([t]))[0, 3])
-                lead = reference.lead_at(np.array([reference.knot_of(t)]))
-                events.e[np.searchsorted(events.at, end)] = ends + lead[0]
+                events.e[np.searchsorted(events.at, end)] = float(solved.trajectory.position(np.array([t]))[0, 3])
             yield from self.tile(section.first, part, events, self._filament_after(section))
 
     def _filament_after(self, section: Section) -> Filament | None:

@@ -223,12 +223,6 @@ class Reference:
         left = 1.0 - _near(segments, CALM_KNOTS)
         self.robust_offset = self.robust_offset * np.repeat(left, len(self.robust_offset) // self.knots)[:, None]
 
-    def lead_at(self, knots: FloatArray) -> FloatArray:
-        """Return how far the filament is ahead at places (m,) in knots, (m,) mm."""
-        if self._evened_mm is None:
-            return np.zeros(len(knots))
-        return np.interp(knots, np.arange(self.knots + 1, dtype=np.float64), self._evened_mm)
-
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next section may have begun, somewhere else
         last = math.nextafter(self._section.end_t, -math.inf)
