@@ -26,8 +26,6 @@ from validation.blind.bank import opened
 OFF: Mapping[str, SearchSettings] = {
     "none off": SETTINGS,
     "beam: one hypothesis a level": replace(SETTINGS, width=1),
-    "several sizes to begin at": replace(SETTINGS, starts=1),
-    "several effects next to each": replace(SETTINGS, tried=2),
     "other forms of an effect": replace(SETTINGS, forms=0),
     "an excerpt of long recordings": replace(SETTINGS, excerpt_information=np.inf),
     "coarse simulations": replace(SETTINGS, coarse_error=0.0),

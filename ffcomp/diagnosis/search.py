@@ -1,7 +1,7 @@
 """Beam search for the effects that a machine file lacks.
 
-    expand    score every effect next to each hypothesis of the beam, simulate the promising ones at several sizes,
-              and fit the best of these starts quickly: in coarse simulations of the loudest motions
+    expand    score every effect next to each hypothesis of the beam, simulate it at several sizes, and fit it quickly
+              from the best one: in coarse simulations of the loudest motions
     fit       fit the likeliest fully, in the form of each effect that pays
     prune     keep the likeliest few; stop when a level gains nothing that is significant
     finish    drop what the best does not need, and fit it with exact derivatives
@@ -39,8 +39,8 @@ from ffcomp.numerics.stages import Progress, Stage
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
-SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, -0.01, -0.03, -0.1, -0.3, -1.0)  # of a usual size, where fits may begin
-ESTIMATES = (1.0, 0.4, 0.15)  # of the linear estimate
+SIZES = (1.0, 0.2, 0.04, -0.04, -0.2, -1.0)  # of a usual size, where fits may begin
+ESTIMATES = (1.0, 0.3)  # of the linear estimate
 ADDED_SIZES = (0.1, 0.3, 1.0, -0.1, -0.3, -1.0)  # of the usual size of what a richer form adds
 SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
 
@@ -158,36 +158,23 @@ class _Start:
 
     effect: Candidate
     z: FloatArray  # (k,) of its parameters
-    cost: float  # |r|² + φ|z|² there, with the machine's parameters retuned to first order
 
 
 def _starts(search: Search, part: Subset, h: Hypothesis, screened: Sequence[Screened]) -> list[_Start]:
-    """Return where fits begin: of the effects that promise most, the best few of all forms and sizes.
+    """Return where the fit of each visible effect begins: its form and size that leave least.
 
     An effect is not linear in its size, so that the score test may miss it, and the size that helps most before
     anything is retuned is not the one to begin with. So each size is simulated, and what retuning explains of the
-    residual is projected out.
+    residual is projected out. That says where to begin, not which effect will fit: play that is too wide by a third
+    explains nothing.
     """
     tries = [(s, form, z) for s in screened if s.visible for form in _first_forms(s.candidate) for z in _sizes(s, form)]
     points = [{**h.fit.values, **values_at(form.parameters, z)} for _, form, z in tries]
     costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
-    best: dict[str, list[_Start]] = {}
-    most = 1 if h.effects else search.settings.starts  # next to others it is begun from where it helps most
-    for cost, (s, form, z) in sorted(zip(costs, tries, strict=True), key=lambda each: each[0]):
-        starts = best.setdefault(s.candidate.name, [])
-        if len(starts) < most and not any(_alike(form, z, other) for other in starts):
-            starts.append(_Start(form, z, cost))
-    by_size = sorted(best, key=lambda name: best[name][0].cost)[: search.settings.tried]
-    by_score = [s.candidate.name for s in screened if s.candidate.name in best][: search.settings.tried // 2]
-    return [start for name in dict.fromkeys([*by_size, *by_score]) for start in best[name]]
-
-
-def _alike(form: Candidate, z: FloatArray, other: _Start) -> bool:
-    """Tell whether a fit from there would hardly differ: the same form, at a size within a factor of two and a half."""
-    if form is not other.effect:
-        return False
-    ours, theirs = (each[: len(form.amplitudes)] for each in (z, other.z))
-    return bool(np.all(ours * theirs > 0) and np.all(np.abs(np.log(np.abs(ours / theirs))) < np.log(2.5)))
+    best: dict[str, _Start] = {}
+    for _, (s, form, z) in sorted(zip(costs, tries, strict=True), key=lambda each: each[0]):
+        best.setdefault(s.candidate.name, _Start(form, z))
+    return list(best.values())
 
 
 def _retuned_cost(fitted: Fit, r: FloatArray) -> float:

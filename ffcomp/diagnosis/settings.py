@@ -35,8 +35,6 @@ class SearchSettings:
     # ---- breadth of the search ----
     most_effects: int = _setting(2, "effects", "that are named at once")
     width: int = _setting(3, "hypotheses", "of a level that are fitted fully, and expanded")
-    tried: int = _setting(5, "effects", "that are fitted next to each hypothesis")
-    starts: int = _setting(2, "sizes", "of each, from which it is fitted")
     forms: int = _setting(2, "forms", "of an effect that are fitted in place of the present one")
     near: float = _setting(5.0, "ratio", "to the best discrepancy, up to which one is reshaped and expanded")
     # ---- ladder of fidelity ----
