@@ -323,12 +323,14 @@ def _file_off(result: Diagnosis) -> Fit | None:
     A stiffness or a mass may be named because another of the file's numbers is wrong, and where several are, nothing
     known explains it: only its owner knows how well they are known.
     """
-    best, base, looser = result.best, result.base, LOOSENED
+    best, base = result.best, result.base
     if best is None or (result.named is not None and not set(result.named.names) <= FILE_CHANGES):
         return None
-    loose = tuple(
-        n if belongs_to_recording(n.name) else Parameter.near(n.name, n.start, looser * n.sd) for n in base.parameters
-    )
+    looser = np.array([1.0 if belongs_to_recording(n.name) else LOOSENED for n in base.parameters])
+    loose = [
+        n if times == 1.0 else Parameter.near(n.name, n.start, times * n.sd)
+        for n, times in zip(base.parameters, looser, strict=True)
+    ]
     alone = fit(result.estimation, loose, base.z / looser, base.jacobian * looser, iterations=6)
     rows = len(alone.residual)
     enough = max(AS_LOOSE * best.fit.chi_squared / rows - 1, result.estimation.tolerance)
