@@ -41,7 +41,7 @@ def continue_fit(
     if known is not None:
         columns = np.hstack([known, columns])
     renew = every[-h.effect_count :] if h.effect_count <= RENEWED else ()
-    fitted = _fit_quickly(estimation, h.fit.parameters, h.fit.z, columns, renew, 10, QUICK_GAIN, rough=machine)
+    fitted = _fit_quickly(estimation, h.fit.parameters, h.fit.z, columns, renew, 30, QUICK_GAIN, rough=machine)
     return log_fit(estimation, Hypothesis(h.effects, fitted), progress, note)
 
 
