@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.time_scaling import whole_segments
-from ffcomp.numerics.serialise import keys
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import labels
 from gcode.program import Program
@@ -30,8 +28,6 @@ P99_LEVEL = 1.02  # times the bound, that the 99th percentile may have: the last
 @dataclass(frozen=True, slots=True)
 class Faster:
     """Times under a bound; the values of chunks add up."""
-
-    json_keys: ClassVar = keys("actuator_limit_s", "limited_by", "by_feature")
 
     original_s: Mapping[str, float] = field(default_factory=dict)  # by feature, as sliced
     planned_s: Mapping[str, float] = field(default_factory=dict)  # by feature, now

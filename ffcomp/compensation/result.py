@@ -37,6 +37,20 @@ DIED = "A process that worked at it has died, perhaps for want of memory."
 
 
 @dataclass(frozen=True, slots=True)
+class QuickerPrint:
+    """The print under a bound on the error."""
+
+    json_keys: ClassVar = {
+        **{name: f"statistics.{name}" for name in ("print_time_s", "original_print_time_s")},
+        **{name: f"statistics.faster.{name}" for name in ("actuator_limit_s", "limited_by", "by_feature")},
+        **{name: f"left.{name}" for name in ("contour_p99_um", "contour_max_um")},
+    }
+
+    statistics: Statistics
+    left: Track | None  # None: without a prediction
+
+
+@dataclass(frozen=True, slots=True)
 class FileSize:
     """Bytes of G-code, not packed."""
 
@@ -117,6 +131,12 @@ class Result:
         """Errors of the uncompensated and of the compensated print; empty: not predicted."""
         return self.forecast.tracks
 
+    @property
+    def faster(self) -> QuickerPrint | None:
+        """What a bound on the error has brought; None: there was none."""
+        none = self.statistics.faster is None
+        return None if none else QuickerPrint(self.statistics, self.predicted.get("compensated"))
+
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
         return replace(
@@ -134,7 +154,7 @@ class Result:
 
 COUNTED = ("print_time_s", "original_print_time_s", "moves", "segments", "windows")
 PRINT_KEYS = keys(
-    *("machine", "compute_time_s", "size", "steps", "original_embedded"),
+    *("machine", "compute_time_s", "size", "faster", "steps", "original_embedded"),
     flavor="flavor.flavor",
     flavor_reason="flavor.reason",
     offset_mm="placement.offset",
@@ -149,7 +169,7 @@ PRINT_KEYS = keys(
     predicted_over_s="forecast.over_s",
     expected="forecast.expected",
     verdict="forecast.verdict",
-    **{name: f"statistics.{name}" for name in (*COUNTED, "limited_windows", "slowed", "faster")},
+    **{name: f"statistics.{name}" for name in (*COUNTED, "limited_windows", "slowed")},
 )
 
 

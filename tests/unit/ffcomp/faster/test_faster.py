@@ -99,6 +99,9 @@ def test_a_bound_that_no_speed_holds_is_told_with_what_is_held_and_nothing_is_wr
     assert found.compensated is not None
     held = found.compensated.contour_p99_um
     assert 1.02 * 1.1 < held < 2.5
+    said, times = found.to_dict()["faster"], ("print_time_s", "original_print_time_s", "actuator_limit_s")
+    assert said["contour_p99_um"] == held < said["contour_max_um"] and min(said[key] for key in times) > 0.0
+    assert sum(each["print_time_s"] for each in said["by_feature"].values()) > 0.0
     (sentence,) = [each for each in found.warning_lines if each.startswith("The bound")]
     assert f"bound of 1.1 µm is not held: for 99 % of the time the predicted error is below {held:.2g} µm" in sentence
     target.write_text("old")
