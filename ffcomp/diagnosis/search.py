@@ -143,7 +143,7 @@ def _loudest(search: Search, fitted: Fit, chosen: Sequence[int] | None = None) -
 
 
 def _quick_fits(search: Search, h: Hypothesis, screened: Sequence[Screened], chosen: Sequence[int]) -> list[Hypothesis]:
-    """Fit a hypothesis quickly with one effect more, from the most promising starts."""
+    """Fit a hypothesis quickly with each visible effect added."""
     part, grown = _loudest(search, h.fit, chosen), list[Hypothesis]()
     for start in _starts(search, part, h, screened):
         if grown and not search.may_go_on:
