@@ -29,6 +29,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import cycle, islice, repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -48,7 +49,8 @@ from gcode.reader import read_parts, read_program
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer.kernels.record import LANES
-from models.printer.printer import SMOOTH_STEP_S, simulate_printer, simulate_printers
+from models.printer.parameters import converted_printer
+from models.printer.printer import SMOOTH_STEP_S, simulate_printers
 
 ROOT = Path(__file__).parents[1]
 PRINTS = [ROOT / "sample_prints" / f"{name}.gcode" for name in ("ringing_tower", "lobed_vase", "far_star")]
@@ -228,12 +230,10 @@ def printer(paths: Sequence[Path], rounds: int, seconds: float = PLAYED_S) -> Ro
     command = MACHINE.kinematics.inverse(path * np.minimum(1, t / 0.3)[:, None] ** 2)
     for name in ("none", *EFFECTS):
         machine = with_effect(MACHINE, name, **EFFECTS[name]) if name in EFFECTS else MACHINE
-        each = {
-            "alone": lambda m=machine: simulate_printer(m, command, SMOOTH_STEP_S, substeps=1),
-            "together": lambda m=machine: simulate_printers([m] * LANES, [command] * LANES, SMOOTH_STEP_S, substeps=1),
-        }
-        each["alone"]()  # compiles, or loads what was compiled
-        alone, together = (1e9 * best_s(work, rounds) / (len(command) - 1) for work in each.values())
+        one = converted_printer(machine)
+        each = [partial(simulate_printers, [one] * n, [command] * n, SMOOTH_STEP_S, substeps=1) for n in (1, LANES)]
+        each[0]()  # compiles, or loads what was compiled
+        alone, together = (1e9 * best_s(work, rounds) / (len(command) - 1) for work in each)
         yield name, f"{alone:.0f}", f"{together / LANES:.0f}", f"{SMOOTH_STEP_S * 1e9 * LANES / together:.0f}"
 
 

@@ -179,8 +179,7 @@ class PrinterProblem(Problem):
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
     ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
         """Simulate on every core, in SIMD lanes what takes equal steps."""
-        machines = [self.machine_with(values) for values in many]
-        converted = [_converted(machine) for machine in machines]
+        converted = [_converted(self.machine_with(values)) for values in many]
         printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
         longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
@@ -203,12 +202,7 @@ class PrinterProblem(Problem):
             steps, tasks = pack
             commands = [self.commands[i] for _, i in tasks]
             return simulate_printers(
-                [machines[n] for n, _ in tasks],
-                commands,
-                steps.row_s,
-                substeps=steps.substeps,
-                converted=[printers[n] for n, _ in tasks],
-                splines=self.splines,
+                [printers[n] for n, _ in tasks], commands, steps.row_s, substeps=steps.substeps, splines=self.splines
             )
 
         motions: list[dict[int, PrinterMotion | ValueError]] = [

@@ -24,7 +24,8 @@ from ffcomp.inference.covariance import clustered_covariance
 from ffcomp.record.plan import Motion
 from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
-from models.printer.printer import PrinterMotion, simulate_printers
+from models.printer.parameters import converted_printer
+from models.printer.printer import PrinterMotion, played, simulate_printers
 
 RATE_HZ = 1600.0
 TAIL_S = 0.4  # simulated after the motion: the printer rings for 0.2 s
@@ -75,12 +76,9 @@ def expectation(motion: Motion, machine: Machine, lead_s: float) -> Expectation:
 
 def simulated(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[PrinterMotion]:
     """Simulate each machine under its command at `RATE_HZ`; UnreachableError if one cannot execute it."""
-    motions = []
-    for motion in simulate_printers(machines, commands, 1 / RATE_HZ):
-        if isinstance(motion, ValueError):
-            raise motion
-        motions.append(motion)
-    return motions
+    return [
+        played(motion) for motion in simulate_printers(list(map(converted_printer, machines)), commands, 1 / RATE_HZ)
+    ]
 
 
 BAND_HZ = (2.0, 20.0)

@@ -22,9 +22,9 @@ from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.printer import playback
 from models.printer.kernels.record import LANES
-from models.printer.parameters import converted_printer, printer_parameters
+from models.printer.parameters import converted_printer
 from models.printer.printer import Hold, longest_step
-from models.printer.rest import equilibrium_state, static_deflection
+from models.printer.rest import static_deflection
 
 Item = TypeVar("Item")
 
@@ -91,26 +91,21 @@ def _section(
     gravity: bool,
 ) -> Iterator[PlayedPart]:
     """Yield samples at the even times t (n,) s, without the first `lead` of them."""
-    _check_rest(plant, section.actuators(t[:1])[0], gravity)
 
     def rows(first: int, last: int) -> FloatArray:
         return section.rows(t[first // rows_a_sample] + row_s * np.arange(last - first), row_s)
 
     count, chunk_rows = (len(t) - 1) * rows_a_sample + 1, CHUNK_ROWS // rows_a_sample * rows_a_sample
     chunks = playback.play([plant], rows, count, row_s, hold=hold, gravity=gravity, chunk_rows=chunk_rows)
-    for row, (motion,) in chunks:
-        first = row // rows_a_sample
-        part = t[first : first + (len(motion.t_s) - 1) // rows_a_sample + 1]
-        begin = max(lead - first, 0 if first == 0 else 1)  # the first sample is the last of the chunk before
-        every = slice(begin * rows_a_sample, None, rows_a_sample)
-        signals = Signals(part[begin:], motion.carriage_acceleration[every], motion.nozzle_acceleration[every])
-        if begin < len(part):
-            yield PlayedPart(section, part[begin:], motion.carriage_mm[every], motion.nozzle_mm[every], signals)
-
-
-def _check_rest(plant: Machine, actuators: FloatArray, gravity: bool) -> None:
     try:
-        equilibrium_state(plant, actuators, printer_parameters(plant, gravity=gravity))
+        for row, (motion,) in chunks:
+            first = row // rows_a_sample
+            part = t[first : first + (len(motion.t_s) - 1) // rows_a_sample + 1]
+            begin = max(lead - first, 0 if first == 0 else 1)  # the first sample is the last of the chunk before
+            every = slice(begin * rows_a_sample, None, rows_a_sample)
+            signals = Signals(part[begin:], motion.carriage_acceleration[every], motion.nozzle_acceleration[every])
+            if begin < len(part):
+                yield PlayedPart(section, part[begin:], motion.carriage_mm[every], motion.nozzle_mm[every], signals)
     except UnreachableError:
         raise
     except ValueError as error:

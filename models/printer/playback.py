@@ -16,6 +16,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, values_of
 from models.machine import Machine
 from models.printer.kernels.record import LANES
+from models.printer.parameters import converted_printer
 from models.printer.printer import SPLINE_ROWS, Hold, PrinterMotion, PrinterState, played, simulate_printers
 
 Rows = Callable[[int, int], FloatArray]  # first, last → (last - first, 3) mm, rows first … last - 1 of a command
@@ -58,15 +59,15 @@ def play(
     each = [rows] if callable(rows) else list(rows)
     if len(each) > 1 and ahead:
         raise ValueError("Several commands are played with a linear hold only.")
-    how: Any = {"substeps": substeps, "gravity": gravity, "hold": hold}
+    printers = [converted_printer(machine, gravity=gravity) for machine in machines]
     states: list[PrinterState] | None = None
     for first in range(0, count - 1, chunk_rows):
         last = min(first + chunk_rows + 1, count)
         both = [one(first, last + ahead) for one in each]
         own, coming = [one[: last - first] for one in both], both[0][last - first :]
         commands = own * (len(machines) // len(own))
-        each_motion = simulate_printers(machines, commands, row_s, starts=states, ahead=coming, **how)
-        motions = [played(motion) for motion in each_motion]
+        how: Any = {"starts": states, "substeps": substeps, "hold": hold, "ahead": coming}
+        motions = [played(motion) for motion in simulate_printers(printers, commands, row_s, **how)]
         states = [motion.state for motion in motions]
         yield first, motions
 
@@ -155,8 +156,8 @@ def _in_windows(
     windows = [(line, a, b) for line, at in zip(lines, cuts, strict=True) for a, b in pairwise(at)]
     start = round(START_S / row_s)
     commands = [gentle_start(line[a - memory : b], start) if a > memory else line[:b] for line, a, b in windows]
-    motions, values = simulate_printers([machine] * len(windows), commands, row_s, hold="linear"), []
-    for (_, a, b), motion in zip(windows, motions, strict=True):
+    printers, values = [converted_printer(machine)] * len(windows), []
+    for (_, a, b), motion in zip(windows, simulate_printers(printers, commands, row_s, hold="linear"), strict=True):
         values.append(observe(played(motion))[a - b :])
     ends = np.cumsum([len(at) - 1 for at in cuts])
     return [np.concatenate(values[end - len(at) + 1 : end]) for at, end in zip(cuts, ends, strict=True)]

@@ -43,7 +43,6 @@ GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
 BORDER_MM = 1e-6
 KEPT_SPLINES = 64  # commands, and sets of commands, whose cubics are held
 
-UNITS = np.array([1e3, 1e3, 1.0, 1e3, 1e3, 1.0, 1e3])  # of PrinterMotion's arrays, in their order
 
 Hold = Literal["cubic", "linear"]
 
@@ -63,10 +62,8 @@ class PrinterMotion:
 
     t_s: FloatArray  # (n,)
     carriage_mm: FloatArray  # (n, 3) columns A B C
-    carriage_velocity: FloatArray  # (n, 3) mm/s
     carriage_acceleration: FloatArray  # (n, 3) m/s²
     nozzle_mm: FloatArray  # (n, 3) columns X Y Z, relative to the bed
-    nozzle_velocity: FloatArray  # (n, 3) mm/s, relative to the bed
     nozzle_acceleration: FloatArray  # (n, 3) m/s², relative to the ground: includes the frame's
     motor_mm: FloatArray  # (n, 3) position of the motor's end of each belt
     state: PrinterState
@@ -108,10 +105,8 @@ def simulate_printer(
     UnreachableError
         If the motion leaves the arms' reach; its indices are rows of the command.
     """
-    starts = None if start is None else [start]
-    (motion,) = simulate_printers(
-        [machine], [command], dt_s, starts=starts, substeps=substeps, gravity=gravity, hold=hold, ahead=ahead
-    )
+    starts, printers = None if start is None else [start], [converted_printer(machine, gravity=gravity)]
+    (motion,) = simulate_printers(printers, [command], dt_s, starts=starts, substeps=substeps, hold=hold, ahead=ahead)
     return played(motion)
 
 
@@ -123,37 +118,33 @@ def played(motion: PrinterMotion | ValueError) -> PrinterMotion:
 
 
 def simulate_printers(
-    machines: Sequence[Machine],
+    printers: Sequence[ConvertedPrinter],
     commands: Sequence[FloatArray],
     dt_s: float,
     *,
     starts: Sequence[PrinterState] | None = None,
     substeps: int | None = None,
-    gravity: bool = True,
     hold: Hold = "cubic",
     ahead: FloatArray | None = None,
-    converted: Sequence[ConvertedPrinter] | None = None,
     splines: Splines | None = None,
 ) -> list[PrinterMotion | ValueError]:
-    """Simulate the i-th machine under the i-th command, up to LANES of them at once.
+    """Simulate the i-th printer under the i-th command, up to LANES of them at once.
 
-    `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. `converted` are the
-    machines as `converted_printer` returns them, where the caller has them already; `splines` of earlier calls under
-    the same arrays of commands. Each gives what `simulate_printer` gives, whatever the others do; where that would
-    raise, its ValueError or UnreachableError stands in the list instead. Those with as many steps from row to row go
-    together, best when their commands are of one length.
+    `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. `splines` are those of earlier
+    calls under the same arrays of commands. Each gives what `simulate_printer` gives, whatever the others do; where
+    that would raise, its ValueError or UnreachableError stands in the list instead. Those with as many steps from row
+    to row go together, best when their commands are of one length.
     """
     motions: dict[int, PrinterMotion | ValueError] = {}
     tasks: dict[int, _Task] = {}
     splines = Splines() if splines is None else splines
     commands = list(commands)  # indexing an array of them would make a new object each time
-    ready: dict[int, _Ready] = {}  # of each printer that the caller has converted, which runs under several commands
-    for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
+    ready: dict[int, _Ready] = {}  # of each printer, which may run under several commands
+    for i, (printer, command) in enumerate(zip(printers, commands, strict=True)):
         try:
             start = None if starts is None else starts[i]
             _check(command, dt_s, start)
-            printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
-            if converted is None or id(printer) not in ready:
+            if id(printer) not in ready:
                 ready[id(printer)] = _ready(printer, dt_s, substeps)
             prepared, coming = ready[id(printer)], command[:0] if ahead is None else ahead
             cubics = splines.of(command, coming, start, prepared.motors, dt_s, hold)
@@ -168,7 +159,7 @@ def simulate_printers(
             tasks[i] = replace(tasks[i], values=state)
     for together in _batches(tasks):
         motions |= zip(together, _simulate([tasks[i] for i in together], dt_s, splines), strict=True)
-    return [motions[i] for i in range(len(machines))]
+    return [motions[i] for i in range(len(printers))]
 
 
 class Splines:
@@ -292,7 +283,7 @@ def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[Pri
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
     first, steps = tasks[0].first, printers[0].steps
     cubics = splines.joined(list(commands.values()))
-    where = (np.array(ranges, dtype=np.int64), first, dt_s, steps, UNITS)
+    where = (np.array(ranges, dtype=np.int64), first, dt_s, steps)
     if len(printers[0].modes):
         samples = integrate_axes(values, np.array([printer.modes for printer in printers]), parameters, cubics, *where)
     else:
@@ -385,7 +376,7 @@ def _check(command: FloatArray, dt_s: float, start: PrinterState | None) -> None
 def _motion(
     task: _Task, samples: Sequence[FloatArray], values: FloatArray, dt_s: float
 ) -> PrinterMotion | UnreachableError:
-    """Build the motion from samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
+    """Build the motion from samples : five of (n, 3), and values : (30,) the last state, SI, from the kernels."""
     lane = [each[: len(task.cubics) - task.first] for each in samples]
     t = task.begin_s + dt_s * np.arange(len(lane[0]), dtype=np.float64)
     if not math.isfinite(sum(float(each[-1].sum()) for each in lane)):  # NaN persists
@@ -393,4 +384,4 @@ def _motion(
         rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
         return UnreachableError(rule, lost)
     end = PrinterState(float(t[-1]), values, task.history)
-    return PrinterMotion(t, lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6], end)
+    return PrinterMotion(t, lane[0], lane[1], lane[2], lane[3], lane[4], end)

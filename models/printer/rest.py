@@ -1,4 +1,4 @@
-"""Printers at rest: equilibrium under a command, and the nozzle's deflection by weight."""
+"""Printers at rest: equilibrium under commands, and the nozzle's deflection by weight."""
 
 from __future__ import annotations
 
@@ -9,31 +9,15 @@ import numpy as np
 from numpy.polynomial.polynomial import polyvander
 
 from models.arrays import FloatArray
-from models.effects.catalogue import effective_machine
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics, rings
 from models.machine import Machine
 from models.printer.kernels.axes import FIRST, SHARE
 from models.printer.kernels.integrate import find_equilibrium
 from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
-from models.printer.parameters import printer_parameters
+from models.printer.parameters import ConvertedPrinter, converted_printer
 
 EQUILIBRIUM_TOLERANCE_M = 1e-9
-
-
-def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameters) -> FloatArray:
-    """Return the state of equilibrium, SI, under the command : (3,) mm, with belts stretched by weight.
-
-    UnreachableError: the arms cannot join the carriages. ValueError: there is no equilibrium.
-    """
-    effective = effective_machine(machine)
-    modes = effective.vibration.printer_modes()
-    if len(modes):
-        return axes_at_rest(modes, command / 1e3)
-    (state,) = deltas_at_rest([effective.kinematics], command[None], [p])
-    if isinstance(state, ValueError):
-        raise state
-    return state
 
 
 def axes_at_rest(modes: FloatArray, command_m: FloatArray) -> FloatArray:
@@ -110,11 +94,16 @@ def _coefficients(plant: Machine) -> FloatArray:
     reach = plant.kinematics.bed_radius_mm
     positions = np.pad(rings(reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)[1:]), _ANGLES), ((0, 0), (0, 1)))
     commands = plant.kinematics.compiled().inverse(positions)
-    heavy, weightless = (printer_parameters(plant, gravity=g) for g in (True, False))
-    kinematics = effective_machine(plant).kinematics
-    bent, straight = (
-        kinematics.forward(1e3 * np.array([equilibrium_state(plant, c, p)[Q : Q + 3] for c in commands]))
-        for p in (heavy, weightless)
-    )
+    bent, straight = (_rested(converted_printer(plant, gravity=g), commands) for g in (True, False))
     powers = _powers(positions[:, :2] / reach)
     return np.asarray(np.linalg.lstsq(powers, bent - straight, rcond=None)[0])
+
+
+def _rested(delta: ConvertedPrinter, commands: FloatArray) -> FloatArray:
+    """Return the nozzle (k, 3) mm of a delta at rest under commands (k, 3) mm; ValueError if it cannot rest there."""
+    k = len(commands)
+    states = deltas_at_rest([delta.kinematics] * k, commands, [delta.parameters] * k)
+    for state in states:
+        if isinstance(state, ValueError):
+            raise state
+    return delta.kinematics.forward(1e3 * np.array(states)[:, Q : Q + 3])

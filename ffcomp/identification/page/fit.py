@@ -255,14 +255,8 @@ class _Page(EstimationProblem):
         moved = [x[self.moves].tobytes() for x in lanes]
         first = dict(zip(moved, lanes, strict=True))  # the bead alone moves nothing
         printers = [printer for x in first.values() for printer in [self.rubbing(x)] * count]
-        motions = simulate_printers(
-            [self.machine] * len(printers),
-            self.commands * len(first),
-            1 / RATE_HZ,
-            substeps=1,
-            converted=printers,
-            splines=self.splines,
-        )
+        commands = self.commands * len(first)
+        motions = simulate_printers(printers, commands, 1 / RATE_HZ, substeps=1, splines=self.splines)
         paths: dict[bytes, list[FloatArray]] = {key: [] for key in first}
         for i, motion in enumerate(motions):
             if isinstance(motion, ValueError):

@@ -22,6 +22,7 @@ from models.printer.kernels.record import COUNT, LANES, ONE, PRINTER, ROWS, STAT
 from models.printer.kernels.vectors import any_nonzero, at, compiled
 
 PAGE = 64  # samples are copied by the page: a write at a time would touch too many cache lines
+UNITS = np.array([1e3, 1.0, 1e3, 1.0, 1e3])  # of the samples, in their order
 
 
 @compiled
@@ -100,19 +101,15 @@ def _step(m: FloatArray, row: int, half: int, h: float, commands: Commands, has:
 
 @compiled
 def _sample(m: FloatArray, sample: FloatArray) -> None:
-    """Copy the motion to sample : (7, 3 LANES), in the order of `integrate`."""
+    """Copy the motion to sample : (5, 3 LANES), in the order of `integrate`."""
     for n in range(3 * LANES):
-        sample[0, n], sample[1, n] = at(m, r.NOW + r.Q, n), at(m, r.NOW + r.QD, n)
-        sample[2, n] = at(m, r.RATE + r.QD, n)
-        sample[3, n], sample[4, n], sample[5, n] = at(m, r.X, n), at(m, r.XD, n), at(m, r.ACC, n)
-        sample[6, n] = at(m, r.MOTOR, n)
+        sample[0, n], sample[1, n] = at(m, r.NOW + r.Q, n), at(m, r.RATE + r.QD, n)
+        sample[2, n], sample[3, n], sample[4, n] = at(m, r.X, n), at(m, r.ACC, n), at(m, r.MOTOR, n)
 
 
 @compiled
-def copy_page(
-    page: FloatArray, first: int, rows: int, units: FloatArray, samples: tuple[FloatArray, ...], begin: int
-) -> None:
-    """Copy a page : (PAGE, 7, 3 LANES), each quantity in its unit, to samples : (k, n, 3) from row `first`.
+def copy_page(page: FloatArray, first: int, rows: int, samples: tuple[FloatArray, ...], begin: int) -> None:
+    """Copy a page : (PAGE, 5, 3 LANES), each quantity in its unit, to samples : (k, n, 3) from row `first`.
 
     begin : the first quantity that is copied
     """
@@ -120,15 +117,14 @@ def copy_page(
         for l in range(len(target) if quantity >= begin else 0):
             for n in range(rows):
                 for i in range(3):
-                    target[l, first + n, i] = units[quantity] * page[n, quantity, i * LANES + l]
+                    target[l, first + n, i] = UNITS[quantity] * page[n, quantity, i * LANES + l]
 
 
 @compiled
 def empty_samples(k: int, rows: int) -> tuple[FloatArray, ...]:
     """Allocate separate arrays, so that a reference to one does not keep the others in memory."""
     size = (k, rows, 3)
-    a, b, c, d = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    return a, b, c, d, np.empty(size), np.empty(size), np.empty(size)
+    return np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
 
 
 @compiled
@@ -141,7 +137,7 @@ def store_state(m: FloatArray, l: int, states: FloatArray) -> None:
 @compiled
 def integrate(
     states: FloatArray, parameters: FloatArray, cubics: FloatArray, ranges: Rows,
-    first: int, dt: float, substeps: int, units: FloatArray,
+    first: int, dt: float, substeps: int,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate k printers, one in each lane, from row `first` of their commands to the last.
 
@@ -153,23 +149,22 @@ def integrate(
     first : the row of the commands to begin with.
     dt : s, from row to row.
     substeps : integration steps from row to row.
-    units : (7,), factors on the results.
 
     Returns
     -------
-    Seven of (k, rows of the longest, 3): carriages' and nozzle's position, velocity, acceleration, and the motors'
-    positions at each row's beginning. Values after a command's last row are meaningless.
+    Five of (k, rows of the longest, 3): carriages' and nozzle's position and acceleration, and the motors' position,
+    mm and m/s², at each row's beginning. Values after a command's last row are meaningless.
     """
     m, rows = fill_lanes(states, parameters), ranges[:, 1] - ranges[:, 0] - first
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    page, samples = np.empty((PAGE, 7, 3 * LANES)), empty_samples(len(states), rows.max())
+    page, samples = np.empty((PAGE, 5, 3 * LANES)), empty_samples(len(states), rows.max())
     for n in range(rows.max()):
         read_command(m, first + n, ZERO, commands, has)
         rate(m, has)
         _sample(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples, ZERO)
+            copy_page(page, n - n % PAGE, n % PAGE + 1, samples, ZERO)
         for l in range(len(states)):
             if n == rows[l] - 1:
                 store_state(m, l, states)

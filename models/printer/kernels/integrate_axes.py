@@ -12,7 +12,7 @@ from models.printer.kernels import record as r
 from models.printer.kernels.axes import MOTION, MOTORS, WIDTH, PerMode
 from models.printer.kernels.integrate import PAGE, active_effects, copy_page, empty_samples, fill_lanes
 from models.printer.kernels.motors import Commands, command_times, has_springs, read_command
-from models.printer.kernels.record import LANES, ONE, STATES, THREE, TWO, ZERO, Rows
+from models.printer.kernels.record import LANES, ONE, STATES, TWO, ZERO, Rows
 from models.printer.kernels.vectors import at, compiled, dot, vector
 
 
@@ -28,7 +28,7 @@ def integrate_axes(
 @compiled
 def _integrate(
     states: FloatArray, modes: FloatArray, like: PerMode, parameters: FloatArray, cubics: FloatArray, ranges: Rows,
-    first: int, dt: float, substeps: int, units: FloatArray,
+    first: int, dt: float, substeps: int,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate; `like` has the length of an axis' modes."""
     rows, filled = ranges[:, 1] - ranges[:, 0] - first, fill_lanes(np.zeros((len(states), STATES)), parameters)
@@ -36,9 +36,9 @@ def _integrate(
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
     h, straight, springs, swaying = dt / substeps, not has.delay, has_springs(m), axes.sways(m)
-    page, each = np.empty((PAGE, 7, WIDTH)), empty_samples(len(states), rows.max())
-    samples = each if swaying else (*each[3:6], *each[3:])  # where nothing sways, carriages move as the nozzle does
-    copied = ZERO if swaying else THREE  # the first of the quantities that are not those of another
+    page, each = np.empty((PAGE, 5, WIDTH)), empty_samples(len(states), rows.max())
+    samples = each if swaying else (*each[2:4], *each[2:])  # where nothing sways, carriages move as the nozzle does
+    copied = ZERO if swaying else TWO  # the first of the quantities that are not those of another
     for n in range(rows.max()):
         for l in range(len(states)):
             if n == rows[l] - 1:
@@ -58,17 +58,16 @@ def _integrate(
             if step == 0:
                 _sample_motion(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples, copied)
+            copy_page(page, n - n % PAGE, n % PAGE + 1, samples, copied)
     return samples
 
 
 @compiled
 def _sample_motion(m: FloatArray, sample: FloatArray) -> None:
     """Copy the motion at a row's beginning: of the axes and of the nozzle."""
-    for quantity in range(3):
-        for n in range(WIDTH):
-            sample[quantity, n] = at(m, MOTION + 9 + 3 * quantity, n)
-            sample[3 + quantity, n] = at(m, MOTION + 3 * quantity, n)
+    for n in range(WIDTH):
+        sample[0, n], sample[1, n] = at(m, MOTION + 9, n), at(m, MOTION + 15, n)
+        sample[2, n], sample[3, n] = at(m, MOTION, n), at(m, MOTION + 6, n)
 
 
 @compiled
@@ -76,4 +75,4 @@ def _sample_motors(m: FloatArray, sample: FloatArray) -> None:
     """Copy where the motors are, as the axes they stand for."""
     for a in range(3):
         for l in range(LANES):
-            sample[6, a * LANES + l] = dot(vector(m, r.axis_matrix + 3 * a, l), vector(m, MOTORS, l))
+            sample[4, a * LANES + l] = dot(vector(m, r.axis_matrix + 3 * a, l), vector(m, MOTORS, l))
