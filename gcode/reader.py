@@ -21,7 +21,7 @@ from gcode.commands import MOVED, PASS, Effect, apply
 from gcode.dialect import DIALECTS, BareWords
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
-from gcode.program import EventKind, LimitCommand, ModalState, MotionLimits, Program, RawMove, limits_in_effect
+from gcode.program import EventKind, LimitCommand, ModalState, Program, RawMove, limits_in_effect
 from gcode.state import DEFAULT_FEED_MM_PER_S, Modal, Vector4
 from gcode.text import BOM, PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
@@ -37,8 +37,6 @@ _FEEDS_AT_A_TIME = 4096
 _LINES_AHEAD, _BYTES_AHEAD = 2000, 1 << 16  # searched to find out whether E is relative
 _NAMED = 6  # codes that a warning lists
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
-
-LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a command that sets limits depends on
 
 
 class Reading(TypedDict, total=False):
@@ -131,9 +129,10 @@ class _Reader:
             raise error.located(self.path) from None
         self._warn_of_unknown_codes()
         frame_of_state = np.array(self.states, dtype=np.int64)
-        moves = self.moves.moves(frame_of_state, self.frames, self.limits)
+        frames = list(self.frames)
+        moves = self.moves.moves(frame_of_state, frames, list(self.limits))
         events = self.events.events(frame_of_state)
-        whole = (self.path, self.lines, moves, events, self.frames, self.warnings, self.first_line)
+        whole = (self.path, self.lines, moves, events, frames, self.warnings, self.first_line)
         program = Program(*whole, self.modal.dialect.name, self.limit_commands)
         self.limit_commands = limits_in_effect(program, self.limit_commands)
         return program if self.cut is None else self.cut(program)
@@ -156,14 +155,10 @@ class _Reader:
         self.lines = data.splitlines(keepends=True)
         self.moves = MoveTable(len(self.lines), self.modal.position)
         self.events = EventTable(np.empty((len(self.lines), 3), dtype=np.int64))
-        self.frames: list[ModalState] = []
-        self.frame_numbers: dict[ModalState, int] = {}
-        self.frame = self._frame_number()
-        self.states = [self.frame]  # frames in force one after another; the last is in force now
-        self.limits = [self.modal.limits]
-        self.limit_numbers = {self.modal.limits: 0}
-        self.limit = 0
-        self.known_limits: dict[bytes, dict[LimitState, tuple[MotionLimits, MotionLimits, LimitCommand]]] = {}
+        self.frames: dict[ModalState, int] = {}  # and their numbers
+        self.states = [self._frame()]  # frames in force one after another; the last is in force now
+        self.limits = {self.modal.limits: 0}
+        self.limit = 0  # the number of those in force
         self.warnings: list[str] = []
 
     def _follow(self, data: bytes) -> None:
@@ -208,16 +203,13 @@ class _Reader:
         modal = self.modal
         modal.feed_known = True
         for modal.feed in feeds:
-            self.states.append(self._frame_number())
+            self.states.append(self._frame())
         modal.feed = there.feed
-        self.frame = self.states[there.state]
-        self.states.append(self.frame)
+        self.states.append(self.states[there.state])
 
     # -- the general way --
 
     def _line(self, at: int) -> None:
-        if self.lines[at] in self.known_limits and self._limits_as_before(at):
-            return
         line = self.lines[at] if self._number(at) > 1 else self.lines[at].removeprefix(BOM)
         line_commands = commands(line, self._number(at))
         if NUMBERED.match(line):
@@ -252,20 +244,9 @@ class _Reader:
             rule = "only modes (G17, G21, G90, …) may share a line"
             raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", self._number(at))
 
-    def _limits_as_before(self, at: int) -> bool:
-        """Follow a limit line seen before in the same state: slicers alternate between few limits."""
-        modal = self.modal
-        known = self.known_limits[self.lines[at]].get((modal.requested, modal.caps, modal.unit))
-        if known is not None:
-            modal.requested, modal.caps, command = known
-            modal.limits = command.after
-            self._settle_limits()
-            self._event(at, Effect(EventKind.PASS, limits=command))
-        return known is not None
-
     def _command(self, at: int, command: Command) -> None:
         self.modes = None
-        before, limits_before = self.modal.position, (self.modal.requested, self.modal.caps, self.modal.unit)
+        before = self.modal.position
         effect = apply(self.modal, command)
         if command.name == "G90" and self.modal.dialect.g90_sets_e and self.modal.relative_e_stated:
             self._settle_e_after_g90(at)
@@ -277,9 +258,6 @@ class _Reader:
         if self.modal.position is not before:
             self.lost = self._number(at), command.name
             self.moves.jumps[self.moves.count] = self.modal.position[:]
-        if effect.limits is not None:
-            limits_after = self.modal.requested, self.modal.caps, effect.limits
-            self.known_limits.setdefault(self.lines[at], {})[limits_before] = limits_after
         self._settle()
         self._event(at, effect)
 
@@ -427,24 +405,14 @@ class _Reader:
 
     def _settle(self) -> None:
         """Assign numbers to the present frame and limits."""
-        self.frame = self._frame_number()
-        if self.frame != self.states[-1]:
-            self.states.append(self.frame)
-        self._settle_limits()
+        frame = self._frame()
+        if frame != self.states[-1]:
+            self.states.append(frame)
+        self.limit = self.limits.setdefault(self.modal.limits, len(self.limits))
 
-    def _settle_limits(self) -> None:
-        limits = self.modal.limits
-        if limits is not self.limits[self.limit]:
-            self.limit = self.limit_numbers.setdefault(limits, len(self.limits))
-            if self.limit == len(self.limits):
-                self.limits.append(limits)
-
-    def _frame_number(self) -> int:
-        frame = self.modal.frame()
-        number = self.frame_numbers.setdefault(frame, len(self.frames))
-        if number == len(self.frames):
-            self.frames.append(frame)
-        return number
+    def _frame(self) -> int:
+        """Return the number of the present frame."""
+        return self.frames.setdefault(self.modal.frame(), len(self.frames))
 
     def _warn(self, about: str, at: int, sentence: str) -> None:
         if about not in self.warned:
