@@ -42,7 +42,7 @@ from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.firmware.program import firmware_plan
 from ffcomp.steps.archive import read_steps
-from ffcomp.steps.crossings import knot_pieces, on_grid
+from ffcomp.steps.crossings import Knots, on_grid
 from ffcomp.steps.sink import Board, StepSink
 from gcode.dialects import detect_flavor
 from gcode.reader import read_parts, read_program
@@ -207,7 +207,7 @@ def steps(paths: Sequence[Path], rounds: int) -> Rows:
             def written(to: Path, error_s: float | None, plan: Any = plan) -> int:
                 sink = StepSink(MACHINE, BOARD, to, error_s)
                 places = on_grid(plan.position(np.arange(plan.start_t[0], plan.end_t, 0.004)))
-                sink.pieces(knot_pieces(0.1, 0.004, places[:, :3], places[:, 3]))
+                sink.knots(Knots(0.1, 0.004, places))
                 return sum(total.steps for total in sink.finish().values())
 
             count = written(exact, None)

@@ -14,7 +14,7 @@ from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
-from ffcomp.steps.crossings import knot_pieces, on_grid
+from ffcomp.steps.crossings import Knots, on_grid
 from ffcomp.steps.motion import Sink
 from gcode.program import Event, EventKind, EventQueue
 
@@ -48,11 +48,10 @@ class StepRenderer:
         t = section.begin_t + spacing * np.arange(n + 1, dtype=np.float64)
         position = self._planned.trajectory.position(np.minimum(t, np.nextafter(section.end_t, -np.inf)))
         position[-1] = self._planned.program.moves.end[section.last - 1]
-        position = on_grid(position)
         for event in self._events.up_to(section.last - 1):
             due_s = float(self._planned.trajectory.start_t[event.move]) - section.begin_t
             self._tell(event, self._sink.clock_s + due_s)
-        self._sink.pieces(knot_pieces(self._sink.clock_s, spacing, position[:, :3], position[:, 3]))
+        self._sink.knots(Knots(self._sink.clock_s, spacing, on_grid(position)))
         self._sink.clock_s += lasts_s
         return ()
 
@@ -74,7 +73,7 @@ class StepRenderer:
                 break
             if at >= first:
                 self._tell(event, sink.clock_s + segment_s * (at - first))
-        sink.pieces(knot_pieces(sink.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
+        sink.knots(Knots(sink.clock_s, segment_s, on_grid(np.column_stack([vertices, filament]))))
         sink.clock_s += segment_s * (last - first)
         return ()
 

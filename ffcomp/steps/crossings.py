@@ -10,7 +10,7 @@ seen from the tower, w = b − z − H_ez the height left for the arm at s = 0, 
 where g = √(L² − |p_xy|²) is the arm's height at the piece's origin and δ how far the crossing lies above the carriage
 there: the difference of large squares is never formed. A carriage's height along a line is concave, so it rises before
 its only turning point and falls after it; the smaller root is the crossing on the way up, the larger one on the way
-down. Then s → τ is the quadratic v τ + a τ²/2 = s. Filament is linear in s.
+down. Each piece is passed at one speed: s is the time since it began. Filament is linear in s.
 
 Kinematics: Eqs. 3-5 of the delta paper (see models/kinematics/delta.py). The rule of stepping, the tolerance at a
 reversal and the filter of rapid step-turn-step pairs are those that Klipper documents and shows (itersolve,
@@ -30,7 +30,6 @@ from models.arrays import FloatArray, IntArray
 from models.compiled import kernel
 
 WayArray = NDArray[np.int8]
-Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Arm = tuple[float, float, float, float, float, float, float, float]  # `Kinematics.motor_rows`
 Rules = tuple[int, int, int]
 
@@ -47,15 +46,16 @@ STATE_SIZE = 10
 
 
 @kernel
-def _line(origin: FloatArray, direction: FloatArray, k: int, arm: Arm) -> tuple[float, float, float, float, float]:
-    """Return a motor's position at the origin, its slope but for the arm's, and of the arm |d_xy|², p·d_xy and g."""
+def _line(places: FloatArray, spacing_s: float, k: int, arm: Arm) -> tuple[float, float, float, float, float]:
+    """Return a motor's position at knot k, its slope but for the arm's, and of the arm |d_xy|², p·d_xy and g."""
     x, y, squared, place, slope = arm[0], arm[1], arm[2], arm[3], 0.0
     for axis in range(4):
-        place += arm[4 + axis] * origin[k, axis]
-        slope += arm[4 + axis] * direction[k, axis]
+        place += arm[4 + axis] * places[k, axis]
+        slope += arm[4 + axis] * ((places[k + 1, axis] - places[k, axis]) / spacing_s)
     if squared == 0.0:
         return place, slope, 0.0, 0.0, 0.0
-    px, py, dx, dy = origin[k, 0] - x, origin[k, 1] - y, direction[k, 0], direction[k, 1]
+    px, py = places[k, 0] - x, places[k, 1] - y
+    dx, dy = (places[k + 1, 0] - places[k, 0]) / spacing_s, (places[k + 1, 1] - places[k, 1]) / spacing_s
     height = math.sqrt(squared - px * px - py * py)
     return place + height, slope, dx * dx + dy * dy, px * dx + py * dy, height
 
@@ -92,15 +92,6 @@ def _crossing(rise: float, up: bool, slope: float, a: float, b: float, g: float)
         sum_ = beta - root if up else beta + root
         return -gamma / sum_ if sum_ != 0.0 else 0.0
     return (-beta - root) / alpha if up else (root - beta) / alpha
-
-
-@kernel
-def _time_at(s: float, v: float, a: float, duration: float) -> float:
-    """τ with v τ + a τ²/2 = s: the first one, without a difference of near numbers."""
-    end_v_plus_v = v + math.sqrt(max(v * v + 2.0 * a * s, 0.0))
-    if s <= 0.0 or end_v_plus_v == 0.0:
-        return 0.0
-    return min(2.0 * s / end_v_plus_v, duration)
 
 
 @kernel
@@ -143,30 +134,36 @@ def _room(array: NDArray[Any], used: int, more: int) -> NDArray[Any]:
 
 @kernel
 def step_times(
-    pieces: Columns, arm: Arm, grid: tuple[float, float], clock_hz: float, rules: Rules, state: IntArray
+    places: FloatArray,
+    times: tuple[float, float],
+    knots: tuple[int, int],
+    arm: Arm,
+    grid: tuple[float, float],
+    clock_hz: float,
+    rules: Rules,
+    state: IntArray,
 ) -> tuple[IntArray, WayArray]:
-    """Compute the steps of one motor along a chunk of pieces; `state` goes on to the next chunk.
+    """Compute the steps of one motor between two knots; `state` goes on to the next call.
 
     Parameters
     ----------
-    pieces : start_t, duration, origin, direction, start_v, acceleration, as in `Pieces`
+    places, times : see `Knots`: its places, first time and spacing
+    knots : first and last
     arm : the motor's row of `Kinematics.motor_rows`; without an arm (L² = 0) it moves evenly: an axis, or the filament
     grid : where the motor began, and one microstep, mm
     rules : ticks; a step that turns back sooner is dropped with the one before, pulses are no closer, and a step after
         a turn comes no sooner
     """
-    start_t, duration, origin, direction, start_v, acceleration = pieces
-    start, step = grid
+    (start_t, lasts), (start, step) = times, grid
     tick, way, n = np.empty(4096, np.int64), np.empty(4096, np.int8), 0
-    for k in range(len(start_t)):
-        t0, lasts, v, gain = start_t[k], duration[k], start_v[k], acceleration[k]
-        place, slope, a, b, g = _line(origin, direction, k, arm)
-        end = (v + 0.5 * gain * lasts) * lasts
+    for k in range(knots[0], knots[1]):
+        t0 = start_t + lasts * k
+        place, slope, a, b, g = _line(places, lasts, k, arm)
         turn = _turn(slope, a, b, g)
         for up in (1, -1):
-            if (up == 1 and turn <= 0.0) or (up == -1 and turn >= end):
+            if (up == 1 and turn <= 0.0) or (up == -1 and turn >= lasts):
                 continue
-            reached = place + _rise(min(turn, end) if up == 1 else end, slope, a, b, g)
+            reached = place + _rise(min(turn, lasts) if up == 1 else lasts, slope, a, b, g)
             steps = int(abs(reached - start - state[LEVEL] * step) / step) + 2
             tick, way = _room(tick, n, steps), _room(way, n, steps)
             while True:
@@ -174,7 +171,7 @@ def step_times(
                 if not up * (reached - border) >= (REVERSAL_MM if state[WAY] == -up else 0.0):
                     break
                 s = _crossing(border - place, up == 1, slope, a, b, g)
-                at = round((t0 + _time_at(s, v, gain, lasts)) * clock_hz)
+                at = round((t0 + min(max(s, 0.0), lasts)) * clock_hz)
                 n = _step(at, up, state, rules, tick, way, n)
             if state[HELD_WAY] == up and up * (reached - start - state[LEVEL] * step) >= 0.0:
                 state[HELD_KEPT] = 1  # the command reached the microstep itself: no flutter about a border
@@ -193,55 +190,19 @@ GRID_MM = 2.0**-13  # 0.12 µm, a hundredth of a microstep: a command's knots li
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """n pieces in order of time; between two of them the nozzle rests. It never moves backwards along a piece."""
+class Knots:
+    """n straight pieces between n + 1 knots, each passed at one speed in the same time."""
 
-    start_t: FloatArray  # (n,) s
-    duration: FloatArray  # (n,) s
-    origin: FloatArray  # (n, 4) mm, columns X Y Z E
-    direction: FloatArray  # (n, 4) mm per unit of path
-    start_v: FloatArray  # (n,) units of path per s
-    acceleration: FloatArray  # (n,) units of path per s²
-
-    def __len__(self) -> int:
-        return len(self.start_t)
-
-    def __getitem__(self, part: slice) -> Pieces:
-        return Pieces(*(column[part] for column in self.columns))
+    start_t: float  # s
+    spacing_s: float
+    places: FloatArray  # (n + 1, 4) mm, columns X Y Z E
 
     @property
-    def columns(self) -> tuple[FloatArray, ...]:
-        """All of them, in their order."""
-        return self.start_t, self.duration, self.origin, self.direction, self.start_v, self.acceleration
-
-    @property
-    def path(self) -> FloatArray:
-        """How far each piece goes, (n,) units of path."""
-        return (self.start_v + 0.5 * self.acceleration * self.duration) * self.duration
-
-    @property
-    def end(self) -> FloatArray:
-        """Where each piece ends, (n, 4) mm."""
-        return self.origin + self.direction * self.path[:, None]
+    def end_t(self) -> float:
+        """When the last one is reached, s."""
+        return self.start_t + self.spacing_s * (len(self.places) - 1)
 
 
 def on_grid(places: FloatArray) -> FloatArray:
     """Round coordinates to the grid of commands: a motion file and step timings then describe the same path."""
     return np.rint(places / GRID_MM) * GRID_MM
-
-
-def knot_pieces(start_t: float, spacing_s: float, vertices: FloatArray, filament: FloatArray) -> Pieces:
-    """Straight lines at constant speed from knot to knot, `spacing_s` apart in time.
-
-    vertices : (n + 1, 3) mm, columns X Y Z;  filament : (n + 1,) mm
-    """
-    corners = np.column_stack([vertices, filament])
-    n = len(corners) - 1
-    return Pieces(
-        start_t=start_t + spacing_s * np.arange(n, dtype=np.float64),
-        duration=np.full(n, spacing_s),
-        origin=corners[:-1],
-        direction=np.diff(corners, axis=0) / spacing_s,  # the path is counted in seconds
-        start_v=np.ones(n),
-        acceleration=np.zeros(n),
-    )

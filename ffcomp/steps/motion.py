@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.steps.crossings import GRID_MM, Pieces
+from ffcomp.steps.crossings import GRID_MM, Knots
 from ffcomp.steps.sink import BEFORE_S, MotorTotal, StepSink
 from gcode.atomic_write import replace_atomically
 from models.arrays import FloatArray, IntArray
@@ -128,13 +128,13 @@ class _Extremes:
     speed: float = 0.0
     acceleration: float = 0.0
 
-    def add(self, pieces: Pieces) -> None:
-        for places in (pieces.origin[:, :3], pieces.end[:, :3]):
-            self.lowest = np.minimum(self.lowest, places.min(axis=0))
-            self.highest = np.maximum(self.highest, places.max(axis=0))
-        velocity = pieces.direction[:, :3] * pieces.start_v[:, None]
-        self.speed = max(self.speed, float(np.linalg.norm(velocity, axis=1).max()))
-        jumps = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / pieces.duration[1:]
+    def add(self, knots: Knots) -> None:
+        places = knots.places[:, :3]
+        self.lowest = np.minimum(self.lowest, places.min(axis=0))
+        self.highest = np.maximum(self.highest, places.max(axis=0))
+        velocity = np.diff(places, axis=0) / knots.spacing_s
+        self.speed = max(self.speed, float(np.linalg.norm(velocity, axis=1).max(initial=0.0)))
+        jumps = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / knots.spacing_s
         self.acceleration = max(self.acceleration, float(jumps.max(initial=0.0)))
 
 
@@ -207,17 +207,15 @@ class MotionSink:
         """Say whether the Z of what follows is meant, or only its changes: after a macro the host knows better."""
         self._height_known = known
 
-    def pieces(self, pieces: Pieces) -> None:
-        """Take the next part of the path: straight segments, equally long in time."""
-        if not len(pieces):
-            return
-        self._extremes.add(pieces)
-        begin = float(pieces.start_t[0])
+    def knots(self, knots: Knots) -> None:
+        """Take the next part of the path."""
+        self._extremes.add(knots)
+        begin = knots.start_t
         self._begin(begin)
         self._lines_until(begin + SOON_S)
         self._wait_until(begin)
-        self._knots(pieces)
-        self._clock = float(pieces.start_t[-1] + pieces.duration[-1])
+        self._records_of(knots)
+        self._clock = knots.end_t
 
     def _lines_until(self, t: float) -> None:
         while self._events and self._events[0][0] <= t:
@@ -236,11 +234,11 @@ class MotionSink:
             self._records += 1
             self._clock = t
 
-    def _knots(self, pieces: Pieces) -> None:
-        places = np.rint(np.vstack([pieces.origin, pieces.end[-1:]]) / GRID_MM).astype(np.int64)
-        spacing, begin, first = float(pieces.duration[0]), float(pieces.start_t[0]), 0
-        while first < len(pieces):
-            due = len(pieces)
+    def _records_of(self, knots: Knots) -> None:
+        places = np.rint(knots.places / GRID_MM).astype(np.int64)
+        spacing, begin, first, count = knots.spacing_s, knots.start_t, 0, len(places) - 1
+        while first < count:
+            due = count
             if self._events:
                 due = min(max(round((self._events[0][0] - begin) / spacing), 0), due)
             if due <= first and self._events:

@@ -19,8 +19,7 @@ from ffcomp.steps.crossings import (
     STATE_SIZE,
     SWALLOWED,
     Arm,
-    Columns,
-    Pieces,
+    Knots,
     Rules,
     last_step,
     step_times,
@@ -32,7 +31,7 @@ WayArray = NDArray[np.int8]
 
 BEFORE_S = 0.1  # at rest before the first motion
 BLOCK_PIECES = 1024  # at a time: a few megabytes of steps
-JUMP_MM = 1e-3  # between two pieces: less than this is rounding
+JUMP_MM = 1e-3  # between two parts of a path: less than this is rounding
 OVERLAP_S = 1e-7
 MOST_ERROR_S = 25e-6  # FORMATS.md
 
@@ -85,10 +84,10 @@ class _Motor:
             types = {"interval": np.int64, "count": np.uint16, "add": np.int16, "direction": np.int8}
         self.columns = {key: Column(dtype, folder) for key, dtype in types.items()}
 
-    def add(self, pieces: Pieces) -> None:
-        chunk = cast(Columns, tuple(map(np.ascontiguousarray, pieces.columns)))
-        grid = self.start_mm, self.step_mm
-        self._take(*step_times(chunk, self._arm, grid, self._board.clock_hz, self._rules, self._state))
+    def add(self, knots: Knots, first: int, last: int) -> None:
+        times, grid = (knots.start_t, knots.spacing_s), (self.start_mm, self.step_mm)
+        how = self._arm, grid, self._board.clock_hz, self._rules, self._state
+        self._take(*step_times(knots.places, times, (first, last), *how))
 
     def finish(self) -> None:
         self._take(*last_step(self._rules, self._state))
@@ -125,7 +124,7 @@ class StepSink:
     """Writes the archive of FORMATS.md, section 5: `steps`, or `klipper-steps` if an error is allowed.
 
         with closing(StepSink(machine, Board(extruder_steps_per_mm=415.0), target)) as sink:
-            sink.pieces(knot_pieces(0.1, 0.004, vertices, filament))
+            sink.knots(Knots(0.1, 0.004, places))
             sink.event(12.5, b"M106 S255")
             totals = sink.finish()
 
@@ -154,7 +153,7 @@ class StepSink:
         self._end: FloatArray | None = None  # (4,) mm, where the last piece ended
         self._last_event_t = 0.0
 
-    def pieces(self, pieces: Pieces) -> None:
+    def knots(self, knots: Knots) -> None:
         """Take the next part of the path; how a path is cut into calls changes nothing.
 
         Raises
@@ -166,37 +165,25 @@ class StepSink:
         LimitsError
             If pulses would follow each other faster than the board allows.
         """
-        for first in range(0, len(pieces), BLOCK_PIECES):
-            self._block(pieces[first : first + BLOCK_PIECES])
-
-    def _block(self, block: Pieces) -> None:
-        ends = block.end
-        # it refuses what is out of reach
-        carriages = self._geometry.inverse(np.vstack([block.origin[:1, :3], ends[:, :3]]))
+        places = knots.places
+        carriages = self._geometry.inverse(places[:, :3])  # it refuses what is out of reach
         if self._end is None:
-            begins = [*(self._geometry.motors @ carriages[0]).tolist(), float(block.origin[0, 3])]
+            begins = [*(self._geometry.motors @ carriages[0]).tolist(), float(places[0, 3])]
             for motor, start_mm in zip(self._motors, begins, strict=True):
                 motor.start_mm = start_mm
-        self._check_joints(block, ends)
-        for motor in self._motors:
-            motor.add(block)
-        self._end, self._end_t = ends[-1], float(block.start_t[-1] + block.duration[-1])
+        self._check_joint(knots.start_t, places[0])
+        for first in range(0, len(places) - 1, BLOCK_PIECES):
+            for motor in self._motors:
+                motor.add(knots, first, min(first + BLOCK_PIECES, len(places) - 1))
+        self._end, self._end_t = places[-1], knots.end_t
 
-    def _check_joints(self, block: Pieces, ends: FloatArray) -> None:
-        """Each piece begins where and when the one before it ended, or later."""
-        before = np.vstack([block.origin[0] if self._end is None else self._end, ends[:-1]])
-        jumps = np.flatnonzero(np.abs(block.origin - before).max(axis=1) > JUMP_MM)
-        if jumps.size:
-            k = jumps[0]
-            jump = f"from {_shown(before[k])} to {_shown(block.origin[k])}"
-            raise StepsError(
-                f"At t = {block.start_t[k]:.4f} s the path jumps {jump}; steps go on from where motors are."
-            )
-        ended = np.concatenate([[self._end_t], (block.start_t + block.duration)[:-1]])
-        early = np.flatnonzero(block.start_t < ended - OVERLAP_S)
-        if early.size:
-            k = early[0]
-            raise StepsError(f"A piece begins at t = {block.start_t[k]:.7f} s, before {ended[k]:.7f} s; time goes on.")
+    def _check_joint(self, start_t: float, begin: FloatArray) -> None:
+        """Require that a path begins where and when the one before it ended, or later."""
+        if self._end is not None and np.abs(begin - self._end).max() > JUMP_MM:
+            jump = f"from {_shown(self._end)} to {_shown(begin)}"
+            raise StepsError(f"At t = {start_t:.4f} s the path jumps {jump}; steps go on from where motors are.")
+        if start_t < self._end_t - OVERLAP_S:
+            raise StepsError(f"A piece begins at t = {start_t:.7f} s, before {self._end_t:.7f} s; time goes on.")
 
     def event(self, t: float, line: bytes, *, still: bool = False) -> None:
         """Add a G-code line to run at the time t, s, no earlier than the event before it; `still` changes nothing."""

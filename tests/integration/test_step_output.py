@@ -11,6 +11,7 @@ import pytest
 from ffcomp.compensation.job import Job
 from ffcomp.compensation.result import Result
 from ffcomp.steps.archive import read_steps
+from ffcomp.steps.crossings import Knots
 from ffcomp.steps.sink import BEFORE_S, Board
 from gcode.reader import read_program
 from models.machine import Machine
@@ -42,13 +43,11 @@ def test_compensated_steps_are_the_command(
     seen = []
     from ffcomp.compensation import step_output as stepping
 
-    right = stepping.knot_pieces
+    def watched(start_t: float, spacing_s: float, places: np.ndarray) -> Knots:
+        seen.append((start_t, spacing_s, places[:, :3], places[:, 3]))
+        return Knots(start_t, spacing_s, places)
 
-    def watched(start_t: float, spacing_s: float, vertices: np.ndarray, filament: np.ndarray) -> object:
-        seen.append((start_t, spacing_s, vertices, filament))
-        return right(start_t, spacing_s, vertices, filament)
-
-    monkeypatch.setattr(stepping, "knot_pieces", watched)
+    monkeypatch.setattr(stepping, "Knots", watched)
     target = tmp_path / "steps.npz"
     result = written(machine, target, error_s=error_s)
     motors = read_steps(target)

@@ -21,8 +21,8 @@ from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.machine import Steps
+from tests.support.knots import trajectory_knots
 from tests.support.machines import host_machine
-from tests.support.pieces import trajectory_pieces
 from validation import kalico
 from validation.judge import HOST_KNOWS
 
@@ -60,8 +60,8 @@ def ours(name: str, error_s: float | None) -> dict[str, MotorSteps]:
     machine = replace(host_machine(), steps=Steps(0.5 / kalico.HALF_STEP_MM))
     with tempfile.TemporaryDirectory() as folder:
         sink = StepSink(machine, BOARD, Path(folder, "steps"), error_s)
-        for pieces in trajectory_pieces(plan(name)):
-            sink.pieces(pieces)
+        for knots in trajectory_knots(plan(name)):
+            sink.knots(knots)
         sink.finish()
         return read_steps(Path(folder, "steps"))
 

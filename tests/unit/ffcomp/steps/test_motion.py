@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.steps.crossings import knot_pieces, on_grid
+from ffcomp.steps.crossings import Knots, on_grid
 from ffcomp.steps.motion import MotionSink
 from tests.support.klipper_host import reader
 from tests.support.step_lookahead import played
@@ -37,7 +37,7 @@ def write(path: Path, *parts: tuple[float, Any], events: tuple[tuple[float, byte
         for event in events:
             sink.event(*event)
         for start_t, knots in parts:
-            sink.pieces(knot_pieces(start_t, 0.004, knots[:, :3], knots[:, 3]))
+            sink.knots(Knots(start_t, 0.004, knots))
             sink.rest(start_t + 0.004 * (len(knots) - 1))
         sink.finish()
 

@@ -14,12 +14,12 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
 from ffcomp.steps.archive import StepsError, read_steps
-from ffcomp.steps.crossings import Pieces, knot_pieces
+from ffcomp.steps.crossings import Knots
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
 from models.file import load_machine
-from tests.support.pieces import trajectory_pieces
+from tests.support.knots import trajectory_knots
 
 MACHINE = load_machine("mp-delta-pro")
 BOARD = Board(extruder_steps_per_mm=415.0)
@@ -37,9 +37,10 @@ def written(path: Path, error_s: float | None = None, at_once: int = 10_000) -> 
     with closing(StepSink(MACHINE, BOARD, path, error_s)) as out:
         for t, line in EVENTS:
             out.event(t, line)
-        for pieces in trajectory_pieces(planned(), 0.1):
-            for first in range(0, len(pieces), at_once):
-                out.pieces(pieces[first : first + at_once])
+        for knots in trajectory_knots(planned(), 0.1):
+            for first in range(0, len(knots.places) - 1, at_once):
+                begin_t = knots.start_t + knots.spacing_s * first
+                out.knots(Knots(begin_t, knots.spacing_s, knots.places[first : first + at_once + 1]))
         return out.finish()
 
 
@@ -72,20 +73,20 @@ def test_how_the_path_is_cut_changes_no_byte(
     error_s: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written(tmp_path / "whole", error_s)
-    monkeypatch.setattr(sink, "BLOCK_PIECES", 3)
+    monkeypatch.setattr(sink, "BLOCK_PIECES", 150)
     monkeypatch.setattr(compress, "BATCH_STEPS", 100)
-    written(tmp_path / "cut", error_s, at_once=4)
+    written(tmp_path / "cut", error_s, at_once=400)
     assert (tmp_path / "whole").read_bytes() == (tmp_path / "cut").read_bytes()
 
 
-def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s: float = 0.5) -> Pieces:
-    return knot_pieces(begin_s, spacing_s, np.array(vertices), np.zeros(len(vertices)))
+def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s: float = 0.5) -> Knots:
+    return Knots(begin_s, spacing_s, np.column_stack([np.array(vertices), np.zeros(len(vertices))]).astype(np.float64))
 
 
-def write_all(target: Path, chunks: Iterable[Pieces]) -> None:
+def write_all(target: Path, parts: Iterable[Knots]) -> None:
     with closing(StepSink(MACHINE, BOARD, target)) as out:
-        for pieces in chunks:
-            out.pieces(pieces)
+        for each in parts:
+            out.knots(each)
         out.finish()
 
 
@@ -106,11 +107,11 @@ WRONG = {
 
 @pytest.mark.parametrize("sentence", WRONG)
 def test_what_motors_cannot_do_is_said_and_leaves_nothing(sentence: str, tmp_path: Path) -> None:
-    error, chunks = WRONG[sentence]
+    error, parts = WRONG[sentence]
     target = tmp_path / "steps"
     target.write_bytes(b"old")
     with pytest.raises(error, match=sentence):
-        write_all(target, chunks)
+        write_all(target, parts)
     assert target.read_bytes() == b"old"
     assert [each.name for each in tmp_path.iterdir()] == ["steps"]
 
@@ -118,9 +119,8 @@ def test_what_motors_cannot_do_is_said_and_leaves_nothing(sentence: str, tmp_pat
 def test_a_little_too_fast_is_put_off_and_reported(tmp_path: Path) -> None:
     """Three microsteps at twice the pace that a board can follow: the third is as late as two half pulses."""
     pace = BOARD.pulse_spacing_s
-    vertices = np.array([[0, 0, 5.0], [0, 0, 5.0 + 3 / MACHINE.steps.steps_per_mm]])
     with closing(StepSink(MACHINE, BOARD, tmp_path / "steps")) as out:
-        out.pieces(knot_pieces(0.1, 1.5 * pace, vertices, np.zeros(2)))
+        out.knots(knots((0, 0, 5.0), (0, 0, 5.0 + 3 / MACHINE.steps.steps_per_mm), spacing_s=1.5 * pace))
         total = out.finish()["a"]
     assert total.steps == 3
     assert total.latest_s == pytest.approx(2 * 0.5 * pace, abs=2e-7)
