@@ -94,7 +94,7 @@ class MotionBlock:
             np.array(self.records, dtype=RECORD).tobytes(),
             np.array(self.numbers, dtype="<f8").tobytes(),
             b"".join(self.text),
-            b"",  # pieces of constant acceleration, which the format has too
+            b"",  # nothing: a part that the format keeps
             _planes(bends),
         ]
         raw = struct.pack("<5I", *map(len, parts)) + b"".join(parts)

@@ -17,7 +17,6 @@ import numpy as np
 
 ANY_CHANGE = 1e12  # of the squared rate: at a rest the clock may jump
 STILL_MM = 1e-9
-LONGEST_S = 0.002  # of what a piece of an accelerated path is taken to be straight, while the clock slows down
 
 
 class Item:
@@ -80,9 +79,8 @@ class Block(Item):
 
     def __init__(self, player, motion, places, filament, rate, slowing):
         """`places` (n + 1, 3) mm and `filament` (n + 1,) mm are the motion's own, where the machine is to have them."""
-        duration = float(motion.durations.sum())
-        super().__init__(player, duration, 2.0 * duration * slowing, rate * rate)
-        self.motion, self.places, self.filament, self.slowing = motion, places, filament, slowing
+        super().__init__(player, motion.duration, 2.0 * motion.duration * slowing, rate * rate)
+        self.motion, self.places, self.filament, self.slowing = motion, places[:, :3], filament, slowing
         self.rates = (rate, rate, rate)
 
     def set_junction(self, start_v2, cruise_v2, end_v2):
@@ -98,7 +96,8 @@ class Block(Item):
         begin = self.player.begin_of(print_time - self.accel_t - self.cruise_t - self.decel_t)
         start, cruise, end = self.rates
         if start == cruise == end == 1.0:
-            end_t = self.player.append(begin, *_as_planned(self.motion, self.places, self.filament))
+            lasts = np.full(len(self.places) - 1, self.motion.spacing)
+            end_t = self.player.append(begin, *_pieces(lasts, lasts, self.places, self.filament))
         else:
             end_t = self.player.append(begin, *self._slowed())
         self.player.note_time(end_t)
@@ -108,76 +107,33 @@ class Block(Item):
         start, cruise, end = self.rates
         half = 2.0 * self.slowing
         marks = [(cruise**2 - start**2) / half, self.duration - (cruise**2 - end**2) / half]
-        along, places, filament = _straight(self.motion, self.places[:, :3], self.filament, marks)
+        knots = self.motion.spacing * np.arange(len(self.places))
+        along = np.unique(np.concatenate([knots, np.clip(marks, 0.0, knots[-1])]))
+        along = along[np.diff(along, prepend=-1.0) > 1e-12]
+        places = np.column_stack([np.interp(along, knots, axis) for axis in self.places.T])
         # the rate at each of these times: its square changes evenly along them
         squared = np.minimum(start**2 + half * along, end**2 + half * (self.duration - along))
         rates = np.sqrt(np.clip(squared, 0.0, cruise**2))
         steps = np.diff(along)
-        kept = steps > 1e-12
-        mean = 0.5 * (rates[:-1] + rates[1:])
-        lasts = steps[kept] / mean[kept]
-        change = (rates[1:] - rates[:-1])[kept] / lasts
-        ways = [np.diff(each, axis=0)[kept] / _tall(steps[kept], each) for each in (places, filament)]
-        return _pieces(lasts, places[:-1][kept], ways[0], filament[:-1][kept], ways[1], rates[:-1][kept], change)
+        lasts = steps / (0.5 * (rates[:-1] + rates[1:]))
+        filament = np.interp(along, knots, self.filament)
+        return _pieces(lasts, steps, places, filament, rates[:-1], np.diff(rates) / lasts)
 
 
-def _tall(steps, places):
-    return steps[:, None] if places.ndim > 1 else steps
+def _pieces(lasts, steps, places, filament, rates=1.0, change=0.0):
+    """Rows as `pieces.one_by_one` takes them, of the nozzle and of filament.
 
-
-def _straight(motion, places, filament, marks):
-    """A path as straight pieces with the marks (s since its beginning) among their ends: times, places, filament."""
-    ends = np.concatenate([[0.0], np.cumsum(motion.durations)])
-    times = [ends, np.clip(marks, 0.0, ends[-1])]
-    if not motion.straight:
-        times.append(np.arange(0.0, ends[-1], LONGEST_S))
-    times_at = np.unique(np.concatenate(times))
-    k = np.clip(np.searchsorted(ends, times_at, side="right") - 1, 0, len(motion.durations) - 1)
-    since = times_at - ends[k]
-    along = (motion.speeds[k] + 0.5 * motion.accelerations[k] * since) * since
-    whole = (motion.speeds + 0.5 * motion.accelerations * motion.durations) * motion.durations
-    share = along / np.where(whole > 0.0, whole, 1.0)[k]
-    moved = [each[:-1][k] + np.diff(each, axis=0)[k] * _tall(share, each) for each in (places, filament)]
-    return times_at, moved[0], moved[1]
-
-
-def _as_planned(motion, places, filament):
-    if places is motion.places and motion.straight:
-        return _at_one_speed(motion, filament)
-    whole = (motion.speeds + 0.5 * motion.accelerations * motion.durations) * motion.durations
-    whole = np.where(whole > 0.0, whole, 1.0)
-    ways = np.diff(places, axis=0) / whole[:, None]
-    pushed = np.diff(filament) / whole
-    return _pieces(motion.durations, places[:-1], ways, filament[:-1], pushed, motion.speeds, motion.accelerations)
-
-
-def _at_one_speed(motion, filament):
-    """What `_pieces` gives for straight segments that are where the file has them: most of a print, so quickly."""
-    ways, places = motion.directions, motion.places
-    length = np.sqrt(np.einsum("ij,ij->i", ways[:, :3], ways[:, :3]))
+    Pieces between places (n + 1, 3) mm take `lasts` (n,) s, which are `steps` of the file's clock; its rate is that
+    at their beginnings, and its change a second.
+    """
+    ways, pushed = np.diff(places, axis=0) / steps[:, None], np.diff(filament) / steps
+    length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     moves = length > STILL_MM
-    nozzle, thread = np.zeros((len(ways), 9)), _thread(motion.durations, filament[:-1], moves)
-    nozzle[:, 0], nozzle[:, 1:4], nozzle[:, 7] = motion.durations, places[:-1, :3], np.where(moves, length, 0.0)
-    nozzle[:, 4:7] = ways[:, :3] / np.where(moves, length, 1.0)[:, None]
-    thread[:, 7] = ways[:, 3]
+    length[~moves] = 0.0
+    nozzle, thread = np.zeros((2, len(ways), 9))
+    nozzle[:, 0], nozzle[:, 1:4], nozzle[:, 4:7] = lasts, places[:-1], ways / np.where(moves, length, 1.0)[:, None]
+    nozzle[:, 7], nozzle[:, 8] = length * rates, length * change
+    # one of the filament's directions asks for pressure advance, where the nozzle travels
+    thread[:, 0], thread[:, 1], thread[:, 4], thread[:, 5] = lasts, filament[:-1], 1.0, ways[:, :2].any(axis=1)
+    thread[:, 7], thread[:, 8] = pushed * rates, pushed * change
     return nozzle, thread
-
-
-def _pieces(durations, places, ways, filament, pushed, speeds, accelerations):
-    """Rows as `pieces.one_by_one` takes them: unit directions, so that speeds are mm/s; of filament signed."""
-    places, ways = places[:, :3], ways[:, :3]  # of the file's own the fourth is the filament
-    length = np.sqrt((ways * ways).sum(axis=1))
-    moves = length > STILL_MM
-    along = np.where(moves, length, 0.0)
-    units = ways / np.where(moves, length, 1.0)[:, None]
-    nozzle = np.column_stack([durations, places, units, along * speeds, along * accelerations])
-    thread = _thread(durations, filament, ways[:, :2].any(axis=1))
-    thread[:, 7], thread[:, 8] = pushed * speeds, pushed * accelerations
-    return nozzle, thread
-
-
-def _thread(durations, filament, travels):
-    """Rows of filament, without speeds; one of its directions asks for pressure advance, where the nozzle `travels`."""
-    rows = np.zeros((len(durations), 9))
-    rows[:, 0], rows[:, 1], rows[:, 4], rows[:, 5] = durations, filament, 1.0, travels
-    return rows

@@ -157,7 +157,7 @@ class Player:
         if self.skipped_retraction is None:
             return motion
         rising = np.flatnonzero(np.diff(motion.places[:, 3]) > 0.0)
-        first = int(rising[0]) if len(rising) else len(motion.durations)
+        first = int(rising[0]) if len(rising) else len(motion.places) - 1
         self._note_filament(motion.part(0, first))
         return motion.part(first, None) if len(rising) else None
 
@@ -187,8 +187,6 @@ class Player:
         flow = self.gcode_move.extrude_factor / self.own_flow
         pushed = motion.places[:, 3] - motion.places[0, 3]
         filament = self.toolhead.commanded_pos[3] + (pushed if flow == 1.0 else pushed * flow)
-        if flow != 1.0 and places is motion.places:
-            places = motion.places[:, :3]  # no longer the file's own
         self._check_filament(filament, error)
         rate = self.gcode_move.speed_factor * 60.0 / self.own_speed
         rate = 1.0 if rate > 1.0 - ROUNDING else rate
@@ -253,7 +251,7 @@ class Player:
         if mesh is None and not any(wanted) and not any(self.offset) and not self.lift.any():
             return motion.places
         old = np.array(self.offset)
-        most = OFFSET_MM_PER_S * float(motion.durations.sum())
+        most = OFFSET_MM_PER_S * motion.duration
         new = old + np.clip(np.array(wanted) - old, -most, most)
         self.offset = new.tolist()
         places = motion.places[:, :3] + (np.linspace(old, new, len(motion.places)) + self.lift)

@@ -17,12 +17,11 @@ import numpy as np
 
 MAGIC = b"FFCMOT1\n"
 SCHEMA = "ffcomp-motion/1"
-LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4
+LINES, KNOTS, WAIT = 1, 2, 4
 BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8
 RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
 MOST_HEADER = 1 << 20
 MOST_CHUNK = 1 << 26
-COLUMNS = 11  # of a piece: duration, origin (4), direction (4), speed, acceleration
 
 
 class MotionFileError(Exception):
@@ -48,37 +47,23 @@ class Wait:
 
 
 class Motion:
-    """Pieces of constant acceleration along straight lines, in order and without gaps.
+    """Straight pieces from knot to knot, each at one speed: places (n + 1, 4) mm, X Y Z E, every `spacing` s."""
 
-    durations (n,) s; places (n + 1, 4) mm, where they begin and the last one ends, X Y Z E; directions (n, 4) and, as
-    they go along them by v t + a t^2 / 2, speeds (n,) and accelerations (n,).
-    """
+    __slots__ = ("flags", "places", "rests_after", "rests_before", "spacing")
 
-    __slots__ = (
-        "accelerations",
-        "directions",
-        "durations",
-        "flags",
-        "places",
-        "rests_after",
-        "rests_before",
-        "speeds",
-        "straight",
-    )
-
-    def __init__(self, flags, durations, places, directions, speeds, accelerations):
-        self.flags = flags
+    def __init__(self, flags, spacing, places):
+        self.flags, self.spacing, self.places = flags, spacing, places
         self.rests_before, self.rests_after = bool(flags & RESTS_BEFORE), bool(flags & RESTS_AFTER)
-        self.durations, self.places, self.directions = durations, places, directions
-        self.speeds, self.accelerations = speeds, accelerations
-        self.straight = not accelerations.any()  # each at one speed
+
+    @property
+    def duration(self):
+        """How long all of them take, s."""
+        return self.spacing * (len(self.places) - 1)
 
     def part(self, first, last):
         """Pieces `first` to before `last`."""
         flags = self.flags if not first else self.flags & ~RESTS_BEFORE
-        columns = self.directions, self.speeds, self.accelerations
-        places = self.places[first : None if last is None else last + 1]
-        return Motion(flags, self.durations[first:last], places, *(each[first:last] for each in columns))
+        return Motion(flags, self.spacing, self.places[first : None if last is None else last + 1])
 
 
 def open_motion(path):
@@ -145,9 +130,8 @@ def _chunk(raw, grid_mm):
         parts.append(raw[at : at + size])
         at += size
     table = np.frombuffer(parts[0], RECORD)
-    numbers, rows = np.frombuffer(parts[1], "<f8"), np.frombuffer(parts[3], "<f8").reshape(-1, COLUMNS)
-    bends = _bends(parts[4])
-    number = text = row = bend = 0
+    numbers, bends = np.frombuffer(parts[1], "<f8"), _bends(parts[4])
+    number = text = bend = 0
     spacing, last, step = 0.0, None, None  # of the run of knots under way
     for kind, flags, _, count in table.tolist():
         if kind == LINES:
@@ -156,10 +140,6 @@ def _chunk(raw, grid_mm):
         elif kind == WAIT:
             yield Wait(float(numbers[number]))
             number += 1
-        elif kind == PIECES:
-            yield _pieces(flags, rows[row : row + count])
-            row += count
-            last = None
         elif kind == KNOTS:
             if flags & BEGINS:
                 spacing, last = float(numbers[number]), np.rint(numbers[number + 1 : number + 5] / grid_mm)
@@ -168,7 +148,7 @@ def _chunk(raw, grid_mm):
             steps = step + np.cumsum(bends[bend : bend + count], axis=0, dtype=np.int64)
             places = np.vstack([last, last + np.cumsum(steps, axis=0)])
             bend, last, step = bend + count, places[-1], steps[-1]
-            yield _knots(flags, spacing, places * grid_mm)
+            yield Motion(flags, spacing, places * grid_mm)
         else:
             raise MotionFileError("The file holds what this module does not know. Update it.")
 
@@ -180,21 +160,6 @@ def _bends(planes):
     return ((folded >> 1) ^ (0 - (folded & 1))).astype(np.int32).T
 
 
-def _knots(flags, spacing, places):
-    count = len(places) - 1
-    still = np.zeros(count)
-    durations, speeds = np.full(count, spacing), np.ones(count)
-    return Motion(flags, durations, places, np.diff(places, axis=0) / spacing, speeds, still)
-
-
-def _pieces(flags, rows):
-    durations, origins, directions = rows[:, 0], rows[:, 1:5], rows[:, 5:9]
-    speeds, accelerations = rows[:, 9], rows[:, 10]
-    path = (speeds[-1] + 0.5 * accelerations[-1] * durations[-1]) * durations[-1]
-    places = np.vstack([origins, origins[-1] + directions[-1] * path])
-    return Motion(flags, durations, places, directions, speeds, accelerations)
-
-
 def main(path):
     """Print a file's header, and what its records add up to."""
     stream, header = open_motion(path)
@@ -203,8 +168,8 @@ def main(path):
         for record in records(stream, header):
             counts[type(record).__name__] += 1
             if isinstance(record, Motion):
-                seconds += float(record.durations.sum())
-                segments += len(record.durations)
+                seconds += record.duration
+                segments += len(record.places) - 1
     print(json.dumps({**header, "found": counts, "moves_s": seconds, "segments": segments}, indent=1))
 
 

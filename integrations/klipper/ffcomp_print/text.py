@@ -64,7 +64,7 @@ class MotionText:
         self._motions[self._number] = record
         if isinstance(record, Motion):
             begun_s = 0.0 if record.rests_before else self._path_s
-            self._path_s = LEAD_S if record.rests_after else begun_s + float(record.durations.sum())
+            self._path_s = LEAD_S if record.rests_after else begun_s + record.duration
         self._motions.pop(self._number - KEPT, None)
         return LINE % self._number
 

@@ -49,7 +49,7 @@ def test_knots_come_back_exactly(tmp_path: Path) -> None:
     assert kinds(records) == "M" * header["records"]
     found = np.vstack([record.places[:-1] for record in records] + [records[-1].places[-1:]])
     np.testing.assert_array_equal(found, knots)
-    assert all(record.durations == pytest.approx(0.004) for record in records)
+    assert all(record.spacing == 0.004 for record in records)
     assert header["duration_s"] == pytest.approx(20.0)
     np.testing.assert_allclose(header["highest_mm"], knots[:, :3].max(axis=0))
     assert [record.rests_before for record in records] == [True] + [False] * (len(records) - 1)
@@ -71,7 +71,7 @@ def test_lines_stand_where_their_moment_is(tmp_path: Path) -> None:
         ["M107"],
         ["M84"],
     ]
-    assert [len(record.durations) for record in records if hasattr(record, "places")] == [30, 32, 32, 6, 10]
+    assert [len(record.places) - 1 for record in records if hasattr(record, "places")] == [30, 32, 32, 6, 10]
     assert records[7].seconds == pytest.approx(0.2)
 
 
