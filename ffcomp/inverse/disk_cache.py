@@ -1,4 +1,4 @@
-"""On-disk cache for per-machine tables and gains, and how the possible printers differ.
+"""On-disk cache of how a machine's possible printers differ, which takes a second on a delta.
 
 A file's name is a hash of everything that determines its arrays: the machine, the settings and the source of the code
 that computes them. So an entry is never out of date. Cache errors are never fatal: unreadable entries are misses,

@@ -22,7 +22,7 @@ with Q = C̄ᵀC̄, R = ρ I + D̄ᵀD̄ and N = C̄ᵀD̄ (`riccati.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -218,7 +218,9 @@ class PreviewGains:
                 problem = p.problem(self.control_weight)
                 feedback, curvature = problem.feedback(problem.stationary_value())
                 preview = p.preview(curvature, self.control_weight)
-                self._add(some, _packed(p, feedback, preview, self.control_weight))
+                gains = _packed(p, feedback, preview, self.control_weight)
+                self._steady.backward[some], self._steady.forward[some] = gains.backward, gains.forward
+                self._known[some] = True
         return node, self._steady
 
     def along(self, place: FloatArray) -> tuple[IntArray, Gains, Gains]:
@@ -234,23 +236,6 @@ class PreviewGains:
         across = 2 * self._half + 1
         xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half).astype(np.float64)
         return _segment_plant(*self._plant_at(xy), self._rows)
-
-    def _add(self, node: IntArray, gains: Gains) -> None:
-        self._steady.backward[node], self._steady.forward[node] = gains.backward, gains.forward
-        self._known[node] = True
-
-    def __len__(self) -> int:
-        """Places whose gains are known."""
-        return int(np.count_nonzero(self._known))
-
-    def known(self) -> dict[str, NDArray[Any]]:
-        """All gains so far, to be taken up again."""
-        node = np.flatnonzero(self._known)
-        return {"node": node, "backward": self._steady.backward[node], "forward": self._steady.forward[node]}
-
-    def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
-        """Gains of the same machine that somebody else has worked out."""
-        self._add(known["node"], Gains(known["backward"], known["forward"]))
 
     def _end(self, node: int) -> Gains:
         """Return the gains of the last `TO_THE_END` intervals of a section that ends at a node, first to last.

@@ -24,7 +24,6 @@ from models.effects.catalogue import design_machine, without_effects
 from models.kinematics.base import Compiled
 from models.machine import Machine
 from models.vibration.scheduled import (
-    TABLE_ARRAYS,
     PlantTable,
     Schedule,
     interpolate,
@@ -45,7 +44,7 @@ class InverseModel:
     settings: Settings
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Another process builds its own tables, or reads them from the cache, and keeps them for its next task."""
+        """Another process builds its own tables, and keeps them for its next task."""
         return model_of, (self.full_machine, self.settings)
 
     @cached_property
@@ -75,12 +74,12 @@ class InverseModel:
     @cached_property
     def plant(self) -> Schedule:
         """The plant along any path, at the substeps of a segment."""
-        return Schedule(self.machine.kinematics, self._table("fine", self.settings.substeps))
+        return Schedule(self.machine.kinematics, self._table(self.settings.substeps))
 
     @cached_property
     def row_table(self) -> PlantTable:
         """The plant over the bed, at the rows of a segment."""
-        return self._table("coarse", self.settings.rows_per_segment)
+        return self._table(self.settings.rows_per_segment)
 
     @cached_property
     def control_weight(self) -> float:
@@ -103,45 +102,26 @@ class InverseModel:
         """The gains of the preview inverse."""
         reach = self.machine.kinematics.model_reach_mm
         states = self.row_table.plant.a.shape[1]
-        gains = PreviewGains(self.plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
-        if arrays := self._cache.arrays:
-            gains.take_up(arrays)
-            self._cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
-        return gains
+        return PreviewGains(self.plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
 
-    @cached_property
-    def _cache(self) -> _Cache:
-        s = self.settings
-        name = disk_cache.name_of(self.machine, s.segment_s, s.substeps, s.rows_per_segment, s.inverse_hz, s.one_model)
-        return _Cache(name, disk_cache.load(name))
-
-    def _table(self, name: str, steps: int) -> PlantTable:
+    def _table(self, steps: int) -> PlantTable:
         """Tabulate the plant over the bed, for so many steps a segment."""
-        if known := self._cache.arrays:
-            return PlantTable.of_arrays({each: known[f"{name} {each}"] for each in TABLE_ARRAYS})
         table = plant_table(self.machine.kinematics, self.machine.vibration, self.settings.segment_s / steps)
         return table.frozen() if self.settings.one_model else table
 
     def save_cache(self) -> None:
-        """Save tables and gains on disk for the next time."""
-        cache, robust = self._cache, self.__dict__.get("_robust")
-        places = len(self.gains)
-        nodes = 0 if robust is None else len(robust.sensitivity)
-        if not places or (places == cache.rows("node") and nodes <= cache.rows("sensitivity node")):
-            return
-        meanwhile = disk_cache.load(cache.name)  # another process may have been elsewhere on the bed
-        if meanwhile:
-            self.gains.take_up(meanwhile)
-        tables = {"fine": self.plant.table, "coarse": self.row_table}
-        arrays = {f"{name} {each}": array for name, table in tables.items() for each, array in table.arrays().items()}
-        if robust is not None:
-            robust.sensitivity.take_up(meanwhile)
-            arrays |= robust.sensitivity.known()
-        else:
-            arrays |= {name: each for name, each in meanwhile.items() if name.startswith("sensitivity")}
-        arrays |= self.gains.known()
-        disk_cache.save(cache.name, arrays)
-        cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
+        """Save on disk, for the next time, how the possible printers differ."""
+        robust = self.__dict__.get("_robust")
+        if robust is not None and robust.sensitivity.has_grown:
+            # another process may have been elsewhere on the bed
+            robust.sensitivity.take_up(disk_cache.load(self._cache_name))
+            disk_cache.save(self._cache_name, robust.sensitivity.known())
+            robust.sensitivity.has_grown = False
+
+    @cached_property
+    def _cache_name(self) -> str:
+        s = self.settings
+        return disk_cache.name_of(self.machine, s.segment_s, s.rows_per_segment, s.inverse_hz)
 
     def plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """Return the plant for half a segment at positions (g, 2) mm, and the nozzle's Jacobian there."""
@@ -168,7 +148,7 @@ class InverseModel:
         s = self.settings
         row_s = s.segment_s / s.rows_per_segment
         robust = RobustReference(self.machine, row_s, s.inverse_hz, self.control_weight)
-        robust.sensitivity.take_up(self._cache.arrays)
+        robust.sensitivity.take_up(disk_cache.load(self._cache_name))
         return robust
 
     @cached_property
@@ -233,15 +213,3 @@ def model_of(machine: Machine, settings: Settings) -> InverseModel:
         _per_thread.model, _per_thread.key = InverseModel(machine, settings), key
     model: InverseModel = _per_thread.model
     return model
-
-
-@dataclass
-class _Cache:
-    """The arrays of one machine on disk."""
-
-    name: str
-    arrays: disk_cache.Arrays  # as loaded or saved, apart from gains in use; empty: none
-
-    def rows(self, name: str) -> int:
-        """Return how many rows an array has; 0: there is none."""
-        return len(self.arrays[name]) if name in self.arrays else 0

@@ -76,6 +76,7 @@ class Sensitivity:
         draws = DRAWS_WIDE if wide else DRAWS
         self._possible = sampled_machines(machine, draws) if sampled else perturbed_machines(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
+        self.has_grown = False  # beyond what was taken up
 
     @cached_property
     def frequency(self) -> FloatArray:
@@ -136,26 +137,19 @@ class Sensitivity:
         share = ((self.frequency - at_nodes[before]) / np.diff(at_nodes)[before]).astype(np.float32)
         return np.asarray(known[..., before] + share * (known[..., before + 1] - known[..., before]))
 
-    def __len__(self) -> int:
-        """Return the number of nodes."""
-        return len(self._nodes)
-
     def known(self) -> dict[str, NDArray[Any]]:
-        """Return all of D so far, to be taken up again; nothing where none is known."""
-        if not self._nodes:
-            return {}
-        return {"sensitivity node": np.array(list(self._nodes)), "sensitivity": np.stack(list(self._nodes.values()))}
+        """Return all of D so far, to be taken up again."""
+        return {"node": np.array(list(self._nodes)), "response": np.stack(list(self._nodes.values()))}
 
     def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
         """Take up D of the same machine that somebody else has worked out."""
-        if "sensitivity" in known and known["sensitivity"].shape[1] == 1 + self.directions:
-            for (a, b), response in zip(known["sensitivity node"].tolist(), known["sensitivity"], strict=True):
-                self._nodes.setdefault((a, b), response)
+        for (a, b), response in zip(known["node"].tolist(), known["response"], strict=True) if known else ():
+            self._nodes.setdefault((a, b), response)
 
     def _node(self, node: tuple[int, int]) -> ShortComplexArray:
         if node not in self._nodes:
             mixed = np.tensordot(self._mixing, self._of_draws(np.array(node) * PITCH_MM), axes=1)
-            self._nodes[node] = np.moveaxis(mixed, 1, -1).astype(np.complex64)
+            self._nodes[node], self.has_grown = np.moveaxis(mixed, 1, -1).astype(np.complex64), True
         return self._nodes[node]
 
     def _of_draws(self, xy: FloatArray) -> ComplexArray:

@@ -6,12 +6,10 @@ the bed; inside an interval the discrete model is exact for a command that is li
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
 from models.compiled import kernel, with_numba
@@ -46,24 +44,6 @@ class PlantTable:
         matrices = {name: getattr(p, name) for name in ("a", "b0", "b1", "b_centripetal")}
         same: Any = {name: np.repeat(x[middle : middle + 1], len(p.a), axis=0) for name, x in matrices.items()}
         return replace(self, plant=replace(p, **same))
-
-    def arrays(self) -> dict[str, FloatArray | IntArray]:
-        """Return all arrays, for a cache."""
-        p = self.plant
-        grid = np.array([self.x0_mm, self.pitch_mm, self.nodes, p.step_s, p.drive_states])
-        return {"grid": grid, "jacobian": self.jacobian, **{name: getattr(p, name) for name in PLANT_ARRAYS}}
-
-    @classmethod
-    def of_arrays(cls, kept: Mapping[str, NDArray[Any]]) -> PlantTable:
-        """Return a table from its arrays."""
-        x0, pitch, nodes, step_s, drive_states = kept["grid"].tolist()
-        arrays: dict[str, Any] = {name: kept[name] for name in PLANT_ARRAYS}
-        plant = DiscretePlant(step_s, drive_states=int(drive_states), **arrays)
-        return cls(x0, pitch, int(nodes), plant, kept["jacobian"])
-
-
-PLANT_ARRAYS = ("a", "b0", "b1", "b_centripetal", "carriage", "oscillators")
-TABLE_ARRAYS = ("grid", "jacobian", *PLANT_ARRAYS)
 
 
 def table_positions(kinematics: Kinematics, pitch_mm: float = PITCH_MM) -> tuple[FloatArray, FloatArray]:
