@@ -24,11 +24,10 @@ from ffcomp.firmware.marlin_planner import (
     extruder_steps_per_mm,
     marlin_settings,
     on_delta,
-    planner_of,
     settings_row,
 )
 from ffcomp.firmware.marlin_queue import SPEED, STEPS, Singles, Targets, phases_of, plan_blocks
-from ffcomp.firmware.settings_in_force import assumed_sentence, row_after
+from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence, row_after
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.segment_merging import at_most
@@ -74,7 +73,9 @@ class Marlin(Firmware):
 
     def planner(self, program: Program, machine: Machine, within: bool = False) -> MarlinPlanner:
         """Return the planner with the settings in force at each line of a program."""
-        return planner_of(program, machine, within)
+        zeros = np.array([frame.base[3] for frame in program.frames])
+        in_force = SettingsInForce.of(program, machine, settings_row(machine))
+        return MarlinPlanner(machine, marlin_settings(machine), in_force, zeros, within)
 
     def cut(self, program: Program, machine: Machine) -> Program:
         """Cut a delta's lines by time."""

@@ -19,27 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.firmware.marlin_queue import (
-    ACCELERATION,
-    COLUMNS,
-    DEVIATION,
-    JERK,
-    LEAST,
-    LEAST_TRAVEL,
-    PRINT,
-    RETRACT,
-    SCALE,
-    SHORTEST_US,
-    SPEED,
-    STEPS,
-    TRAVEL,
-    Blocks,
-    Singles,
-    Targets,
-    phases_of,
-    plan_blocks,
-)
-from ffcomp.firmware.settings_in_force import SettingsInForce
+from ffcomp.firmware import marlin_queue as q
+from ffcomp.firmware.marlin_queue import Blocks, Singles, Targets, phases_of, plan_blocks
+from ffcomp.firmware.settings_in_force import SettingsInForce, own_row
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import Phases, timed
 from ffcomp.planner.trajectory import Trajectory
@@ -69,16 +51,6 @@ def marlin_settings(machine: Machine) -> MarlinSettings:
     return machine.marlin or MarlinSettings.within(machine.limits, on_delta(machine))
 
 
-def planner_of(program: Program, machine: Machine, within: bool = False) -> MarlinPlanner:
-    """Return Marlin's planner, with the settings that are in force at each line of a program.
-
-    within : the moves are part of a motion, so that nothing is slowed because the queue fills
-    """
-    zeros = np.array([frame.base[3] for frame in program.frames])
-    in_force = SettingsInForce.of(program, machine, settings_row(machine))
-    return MarlinPlanner(machine, marlin_settings(machine), in_force, zeros, within)
-
-
 @dataclass(frozen=True, slots=True)
 class MarlinPlanner:
     """Plans moves of one program."""
@@ -87,7 +59,7 @@ class MarlinPlanner:
     settings: MarlinSettings
     in_force: SettingsInForce
     filament_zeros: FloatArray  # (frames,) mm of filament at each frame's E0; empty: unknown
-    within: bool = False  # the moves are part of a motion
+    within: bool  # the moves are part of a motion, so that nothing is slowed because the queue fills
 
     def __call__(
         self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
@@ -132,7 +104,7 @@ class MarlinPlanner:
 
     def _filament_shift(self, moves: Moves) -> FloatArray:
         """Return by how much Marlin's filament is off the moves', (n,) mm: after G92 E it counts on from a step."""
-        steps_per_mm = settings_row(self.machine)[STEPS][3]
+        steps_per_mm = settings_row(self.machine)[q.STEPS][3]
         zero = self.filament_zeros[moves.frame] if len(self.filament_zeros) else np.zeros(len(moves.frame))
         shift, count, before = np.zeros(len(zero)), 0.0, 0.0
         begins = np.flatnonzero(np.diff(zero, prepend=np.nan) != 0.0)
@@ -256,19 +228,13 @@ def extruder_steps_per_mm(machine: Machine) -> float:
 
 def settings_row(machine: Machine) -> FloatArray:
     """Return a machine's own settings as one row of numbers, (COLUMNS,)."""
-    s, row = marlin_settings(machine), np.zeros(COLUMNS)
-    steps_per_mm = [*machine.steps.per_motor, extruder_steps_per_mm(machine)]
-    row[STEPS], row[SPEED], row[ACCELERATION], row[JERK] = (
-        steps_per_mm,
-        s.speed_mm_per_s,
-        s.acceleration_mm_per_s2,
-        s.jerk_mm_per_s,
-    )
-    row[PRINT], row[RETRACT] = s.printing_acceleration_mm_per_s2, s.retract_acceleration_mm_per_s2
-    row[TRAVEL] = s.travel_acceleration_mm_per_s2
-    row[DEVIATION] = -1.0 if s.junction_deviation_mm is None else s.junction_deviation_mm
-    row[LEAST], row[LEAST_TRAVEL] = s.lowest_speed_mm_per_s, s.lowest_travel_speed_mm_per_s
-    row[SHORTEST_US], row[SCALE] = 1e6 * s.shortest_segment_s, 1.0
+    s = marlin_settings(machine)
+    row = own_row(s)
+    row[q.STEPS] = [*machine.steps.per_motor, extruder_steps_per_mm(machine)]
+    row[q.RETRACT] = s.retract_acceleration_mm_per_s2
+    row[q.DEVIATION] = -1.0 if s.junction_deviation_mm is None else s.junction_deviation_mm
+    row[q.LEAST], row[q.LEAST_TRAVEL] = s.lowest_speed_mm_per_s, s.lowest_travel_speed_mm_per_s
+    row[q.SHORTEST_US] = 1e6 * s.shortest_segment_s
     return row
 
 
@@ -312,7 +278,7 @@ def _low_jerk_warning(program: Program, machine: Machine) -> str:
     in_force = SettingsInForce.of(program, machine, settings_row(machine))
     commands = ((event.line, event.limits) for event in program.events if event.limits is not None)
     for (line, command), row in zip(commands, in_force.rows[1:], strict=True):
-        x, y, z = row[JERK][:3].tolist()
+        x, y, z = row[q.JERK][:3].tolist()
         if command.code == "M205" and "Z" in command.words and z < LOW_JERK * min(x, y):
             return (
                 f"line {program.first_line + line + 1}: M205 sets the jerk of Z to {z:g} mm/s, and Z is a tower of "

@@ -20,20 +20,9 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.firmware import marlin_queue as q
 from ffcomp.firmware.base import AxisLimits, Firmware, Planner
-from ffcomp.firmware.marlin_queue import (
-    ACCELERATION,
-    COLUMNS,
-    DEVIATION,
-    JERK,
-    LEAST,
-    POLICY,
-    PRINT,
-    SCALE,
-    SPEED,
-    TRAVEL,
-)
-from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence
+from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence, own_row
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import Phases, phases_from_corners, timed
 from ffcomp.planner.trajectory import Trajectory
@@ -59,10 +48,9 @@ def reprapfirmware_settings(machine: Machine) -> RepRapFirmwareSettings:
 
 def settings_row(machine: Machine) -> FloatArray:
     """Return a machine's own settings as one row of numbers, (COLUMNS,)."""
-    s, row = reprapfirmware_settings(machine), np.zeros(COLUMNS)
-    row[SPEED], row[ACCELERATION], row[JERK] = s.speed_mm_per_s, s.acceleration_mm_per_s2, s.jerk_mm_per_s
-    row[PRINT], row[TRAVEL] = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
-    row[DEVIATION], row[LEAST], row[SCALE], row[POLICY] = -1.0, SLOWEST_MM_PER_S, 1.0, s.jerk_policy
+    s = reprapfirmware_settings(machine)
+    row = own_row(s)
+    row[q.DEVIATION], row[q.LEAST], row[q.POLICY] = -1.0, SLOWEST_MM_PER_S, s.jerk_policy
     return row
 
 
@@ -144,14 +132,14 @@ def _bounds(
     top, acceleration = np.empty(n), np.full(n, np.inf)
     for i in range(n):
         u, s = direction[i], settings[i]
-        top[i] = max(speed[i], s[LEAST])
+        top[i] = max(speed[i], s[q.LEAST])
         if length[i] == 0.0:
             continue
-        top[i] = min(top[i], _most(u, s, SPEED.start, sharing))
-        acceleration[i] = _most(u, s, ACCELERATION.start, sharing)
+        top[i] = min(top[i], _most(u, s, q.SPEED.start, sharing))
+        acceleration[i] = _most(u, s, q.ACCELERATION.start, sharing)
         if u[0] != 0.0 or u[1] != 0.0:
-            acceleration[i] = min(acceleration[i], s[PRINT] if u[3] > 0.0 else s[TRAVEL])
-        acceleration[i] *= s[SCALE]
+            acceleration[i] = min(acceleration[i], s[q.PRINT] if u[3] > 0.0 else s[q.TRAVEL])
+        acceleration[i] *= s[q.SCALE]
     return top, acceleration
 
 
@@ -183,12 +171,12 @@ def _corners(
         u, before = direction[i], direction[last]
         aside, was_aside = u[0] != 0.0 or u[1] != 0.0, before[0] != 0.0 or before[1] != 0.0
         alike = aside == was_aside and (aside and u[3] > 0.0) == (was_aside and before[3] > 0.0)
-        if not stops and (alike or settings[i, POLICY] > 0.0):
+        if not stops and (alike or settings[i, q.POLICY] > 0.0):
             v = min(top[i], top[last])
             for k in range(4):
                 jump = abs(u[k] - before[k])
-                if jump * v > settings[i, JERK.start + k]:
-                    v = settings[i, JERK.start + k] / jump
+                if jump * v > settings[i, q.JERK.start + k]:
+                    v = settings[i, q.JERK.start + k] / jump
             corner[m] = v * v
         kept[m] = i
         m, last, stops = m + 1, i, False

@@ -8,24 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.firmware.marlin_queue import (
-    ACCELERATION,
-    DEVIATION,
-    JERK,
-    LEAST,
-    LEAST_TRAVEL,
-    POLICY,
-    PRINT,
-    RETRACT,
-    SCALE,
-    SHORTEST_US,
-    SPEED,
-    TRAVEL,
-)
+from ffcomp.firmware import marlin_queue as q
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
 from gcode.program import MACHINE_LIMITS, LimitCommand, Moves, Program
 from models.arrays import FloatArray, IntArray
-from models.machine import Machine
+from models.machine import Machine, MarlinSettings, RepRapFirmwareSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +56,13 @@ class SettingsInForce:
         allowed = bounds_of(replace(moves, acceleration=asked), lines_of(moves), self.limits).acceleration
         allowed = np.minimum(allowed, asked)
         gentler = np.fmin(moves.acceleration / allowed, 1.0)
-        rows[:, SCALE] = gentler
+        rows[:, q.SCALE] = gentler
         corner = np.where(np.isnan(corner), self.limits.square_corner_velocity_mm_per_s, corner)
         corner = np.where(gentler < 1.0, corner * np.sqrt(allowed / asked), corner)  # as time scaling wrote it
         slower = np.fmin(moves.square_corner_velocity / corner, 1.0)
         if (slower < 1.0).any():
-            rows[:, JERK] *= slower[:, None]
-            rows[:, DEVIATION] *= np.where(rows[:, DEVIATION] > 0.0, np.minimum(slower**2 / gentler, 1.0), 1.0)
+            rows[:, q.JERK] *= slower[:, None]
+            rows[:, q.DEVIATION] *= np.where(rows[:, q.DEVIATION] > 0.0, np.minimum(slower**2 / gentler, 1.0), 1.0)
         return rows
 
 
@@ -83,22 +70,31 @@ def row_after(row: FloatArray, command: LimitCommand) -> FloatArray:
     """Return the settings (COLUMNS,) after a command that sets some (Marlin's M200-M205.cpp; RepRapFirmware's list)."""
     row, code, words = row.copy(), command.code, command.words
     if code == "M201":
-        row[ACCELERATION] = _named(row[ACCELERATION], words)
+        row[q.ACCELERATION] = _named(row[q.ACCELERATION], words)
     elif code == "M203":
-        row[SPEED] = _named(row[SPEED], words)
-        row[LEAST] = words.get("I", row[LEAST])  # of RepRapFirmware: the slowest of any move
+        row[q.SPEED] = _named(row[q.SPEED], words)
+        row[q.LEAST] = words.get("I", row[q.LEAST])  # of RepRapFirmware: the slowest of any move
     elif code == "M204":
-        row[RETRACT], row[PRINT] = words.get("R", row[RETRACT]), words.get("P", row[PRINT])
-        row[TRAVEL] = words.get("T", row[TRAVEL])
+        row[q.RETRACT], row[q.PRINT] = words.get("R", row[q.RETRACT]), words.get("P", row[q.PRINT])
+        row[q.TRAVEL] = words.get("T", row[q.TRAVEL])
     elif code == "M566":
-        row[POLICY], row[JERK] = words.get("P", row[POLICY]), _named(row[JERK], words)
+        row[q.POLICY], row[q.JERK] = words.get("P", row[q.POLICY]), _named(row[q.JERK], words)
     elif code == "M205":
-        row[LEAST], row[LEAST_TRAVEL] = words.get("S", row[LEAST]), words.get("T", row[LEAST_TRAVEL])
-        row[SHORTEST_US] = words.get("B", row[SHORTEST_US])
-        if row[DEVIATION] < 0.0:
-            row[JERK] = _named(row[JERK], words)
+        row[q.LEAST], row[q.LEAST_TRAVEL] = words.get("S", row[q.LEAST]), words.get("T", row[q.LEAST_TRAVEL])
+        row[q.SHORTEST_US] = words.get("B", row[q.SHORTEST_US])
+        if row[q.DEVIATION] < 0.0:
+            row[q.JERK] = _named(row[q.JERK], words)
         elif 0.01 <= words.get("J", 0.0) <= 0.3:
-            row[DEVIATION] = words["J"]
+            row[q.DEVIATION] = words["J"]
+    return row
+
+
+def own_row(s: MarlinSettings | RepRapFirmwareSettings) -> FloatArray:
+    """Return the settings (COLUMNS,) that both firmwares have; the others are zero."""
+    row = np.zeros(q.COLUMNS)
+    row[q.SPEED], row[q.ACCELERATION], row[q.JERK] = s.speed_mm_per_s, s.acceleration_mm_per_s2, s.jerk_mm_per_s
+    row[q.PRINT], row[q.TRAVEL] = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
+    row[q.SCALE] = 1.0
     return row
 
 

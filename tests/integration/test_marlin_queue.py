@@ -10,7 +10,8 @@ import pytest
 
 from ffcomp.compensation.job import Job
 from ffcomp.compensation.request import CompensateOptions
-from ffcomp.firmware.marlin_planner import cut_moves, planner_of
+from ffcomp.firmware.marlin import Marlin
+from ffcomp.firmware.marlin_planner import cut_moves
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
 from models.file import load_machine
@@ -147,7 +148,7 @@ def test_no_segment_is_dropped_before_a_line_of_the_file(name: str, middle: int,
     assert violations(data, text, machine, written.value.placement.offset, flavor="marlin") == []
     program = cut_moves(read(text, machine), machine)
     moves, (stops, waits) = program.moves, stops_and_waits(program)
-    blocks, ends = planner_of(program, machine).blocks(moves, stops | (waits > 0.0))
+    blocks, ends = Marlin().planner(program, machine).blocks(moves, stops | (waits > 0.0))
     executed = np.zeros(len(moves), dtype=np.bool_)
     executed[ends[blocks.target]] = True
     ours = np.isin(moves.line, told_apart(text.splitlines(keepends=True)).segments)

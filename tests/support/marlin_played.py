@@ -16,7 +16,8 @@ import numpy as np
 
 from ffcomp.compensation.job import Job
 from ffcomp.compensation.request import CompensateOptions
-from ffcomp.firmware.marlin_planner import planner_of, settings_row
+from ffcomp.firmware.marlin import Marlin
+from ffcomp.firmware.marlin_planner import settings_row
 from ffcomp.firmware.marlin_queue import STEPS, Blocks, phases_of
 from ffcomp.firmware.program import known_to_the_firmware, plan_program
 from ffcomp.metrics import Track, contour_error
@@ -67,7 +68,7 @@ def beginning(data: bytes, machine: Machine, offset: tuple[float, float], second
 def played(program: Program, machine: Machine) -> tuple[Trajectory, Trajectory]:
     """Return Marlin's plan of a program: of its moves, and of its motors, mm."""
     stops, waits = stops_and_waits(program)
-    planner = planner_of(program, machine)
+    planner = Marlin().planner(program, machine)
     blocks, ends = planner.blocks(program.moves, stops | (waits > 0.0))
     rested = np.cumsum(waits)[ends[blocks.target]]
     plan = planner(program.moves, stop_before=stops, wait_before=waits)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from ffcomp.firmware.marlin import PART_S, Marlin
-from ffcomp.firmware.marlin_planner import planner_of
 from ffcomp.firmware.marlin_queue import Blocks, phases_of
 from ffcomp.firmware.program import known_to_the_firmware, read_as_planned
 from ffcomp.planner.lookahead import stops_and_waits
@@ -65,12 +64,12 @@ def test_a_delta_that_creeps_is_read_in_parts_of_little_motion_for_marlin_alone(
 
 def plan_of(program: Program, machine: Machine) -> Trajectory:
     stop, wait = stops_and_waits(program)
-    return planner_of(program, machine)(program.moves, stop_before=stop, wait_before=wait)
+    return Marlin().planner(program, machine)(program.moves, stop_before=stop, wait_before=wait)
 
 
 def blocks_of(program: Program, machine: Machine) -> Blocks:
     stop, wait = stops_and_waits(program)
-    return planner_of(program, machine).blocks(program.moves, stop | (wait > 0.0))[0]
+    return Marlin().planner(program, machine).blocks(program.moves, stop | (wait > 0.0))[0]
 
 
 def real_blocks(kind: str, name: str) -> list[dict[str, str]]:
