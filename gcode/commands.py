@@ -54,7 +54,7 @@ def apply(modal: Modal, command: Command) -> Effect:
     """Apply one command; unknown ones stop the motion, because they may move the machine."""
     if command.name in modal.returns:
         return RETURNED
-    own = OWN_EFFECTS[modal.dialect.commands]
+    own = OWN_EFFECTS[modal.dialect.name]
     if effect := own.get(command.name) or EFFECTS.get(command.name):
         return effect if isinstance(effect, Effect) else effect(modal, command)
     if _TOOL_NAME.fullmatch(command.name):
@@ -484,7 +484,7 @@ EFFECTS: dict[str, Handler | Effect] = {
     "SET_GCODE_OFFSET": _gcode_offset,
     "SET_VELOCITY_LIMIT": _velocity_limit,
 }
-# Commands that a firmware treats differently; a dialect names its row (`gcode.dialect`).
+# Commands that a firmware treats differently, by the name of its dialect (`gcode.dialect`).
 OWN_EFFECTS: dict[str, dict[str, Handler | Effect]] = {
     KLIPPER: {
         **dict.fromkeys(("G92.1", "M120", "M121"), UNKNOWN),

@@ -26,7 +26,6 @@ class Dialect:
 
     name: str
     declared: tuple[bytes, ...]  # names that slicers give it, in lower case
-    commands: str  # whose own commands it has: a key of `gcode.commands.OWN_EFFECTS`
     shaper_command: bytes
     shaper_off: bytes  # empty: the command names axes
     shaper_on: tuple[str, ...]  # lines that set one, with {name}, {x} and {y} in Hz, and {damping}
@@ -51,7 +50,6 @@ DIALECTS: Mapping[str, Dialect] = {
         Dialect(
             KLIPPER,
             (b"klipper",),
-            KLIPPER,
             b"SET_INPUT_SHAPER",
             b"",
             (
@@ -69,7 +67,6 @@ DIALECTS: Mapping[str, Dialect] = {
         Dialect(
             MARLIN,
             (b"marlin", b"marlin2"),
-            MARLIN,
             b"M593",
             b"M593 F0",
             ("M593 X F{x:.1f} D{damping:g}", "M593 Y F{y:.1f} D{damping:g}"),
@@ -81,7 +78,6 @@ DIALECTS: Mapping[str, Dialect] = {
         Dialect(
             REPRAPFIRMWARE,
             (b"reprapfirmware", b"rrf"),
-            REPRAPFIRMWARE,
             b"M593",
             b'M593 P"none"',
             ('M593 P"{name}" F{x:.1f} S{damping:g}',),

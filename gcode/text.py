@@ -8,8 +8,9 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from errno import EINVAL
+from gzip import GzipFile
 from pathlib import Path
-from typing import Protocol
+from typing import IO
 
 from gcode.errors import GcodeError, UnsupportedGcode
 
@@ -81,14 +82,7 @@ def blocks(source: Source, block: int = BLOCK) -> Iterator[bytes]:
             yield from pieces(file, block)
 
 
-class Readable(Protocol):
-    """An open file, or part of one."""
-
-    def read(self, size: int, /) -> bytes:
-        """Return at most `size` bytes; none at the end."""
-
-
-def pieces(file: Readable, block: int = BLOCK) -> Iterator[bytes]:
+def pieces(file: IO[bytes] | GzipFile, block: int = BLOCK) -> Iterator[bytes]:
     """Yield the rest of an open file."""
     while piece := file.read(block):
         yield piece

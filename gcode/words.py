@@ -40,8 +40,27 @@ class Command:
     line: int  # 1-based, for error sentences
 
     def numbers(self) -> dict[str, float]:
-        """Return the words as letter → value; every word needs a number."""
-        return numbers(self.args, self.name, self.line)
+        """Return the words `X1.5 Y-2E.3` as {"X": 1.5, "Y": -2.0, "E": 0.3}; every word needs a number."""
+        text, name, line = without_round_comments(self.args).strip(), self.name, self.line
+        if _EXPONENT.search(text):
+            raise GcodeError(f"{name} has an exponent in {shown(text)}; G-code numbers are plain decimals.", line)
+        values: dict[str, float] = {}
+        at = 0
+        while at < len(text):
+            match = _WORD.match(text, at)
+            if match is None:
+                raise GcodeError(f"{name} has {shown(text[at:])}, which is not a word (a letter and a number).", line)
+            letter, number = match.group(1).decode().upper(), match.group(2)
+            if number is None:
+                raise GcodeError(f"{name} has the word {letter} without a number; every word needs one.", line)
+            if letter in values:
+                raise GcodeError(f"{name} has the word {letter} twice; each word may appear once.", line)
+            values[letter] = value = float(number)
+            if abs(value) > LARGEST_NUMBER:
+                rule = f"numbers reach ±{LARGEST_NUMBER:,.0f}"
+                raise GcodeError(f"{letter}{value:g} is out of range; {rule}.", line)
+            at = match.end()
+        return values
 
     def settings(self) -> dict[str, float]:
         """Return the words that have a number, the last of each letter; unreadable ones are left out.
@@ -82,34 +101,6 @@ def comment(line: bytes) -> bytes:
 def without_round_comments(text: bytes) -> bytes:
     """`G1 X1 (to the left) Y2` → `G1 X1  Y2`; an open bracket comments out the rest of the line."""
     return _ROUND_COMMENT.sub(b" ", text) if b"(" in text else text
-
-
-def bounded(value: float, letter: str, line: int) -> float:
-    """Return the value if a printer can use it, else raise."""
-    if not abs(value) <= LARGEST_NUMBER:
-        raise GcodeError(f"{letter}{value:g} is out of range; numbers reach ±{LARGEST_NUMBER:,.0f}.", line)
-    return value
-
-
-def numbers(args: bytes, name: str, line: int) -> dict[str, float]:
-    """Words `X1.5 Y-2E.3` as {"X": 1.5, "Y": -2.0, "E": 0.3}."""
-    text = without_round_comments(args).strip()
-    if _EXPONENT.search(text):
-        raise GcodeError(f"{name} has an exponent in {shown(text)}; G-code numbers are plain decimals.", line)
-    values: dict[str, float] = {}
-    at = 0
-    while at < len(text):
-        match = _WORD.match(text, at)
-        if match is None:
-            raise GcodeError(f"{name} has {shown(text[at:])}, which is not a word (a letter and a number).", line)
-        letter, number = match.group(1).decode().upper(), match.group(2)
-        if number is None:
-            raise GcodeError(f"{name} has the word {letter} without a number; every word needs one.", line)
-        if letter in values:
-            raise GcodeError(f"{name} has the word {letter} twice; each word may appear once.", line)
-        values[letter] = bounded(float(number), letter, line)
-        at = match.end()
-    return values
 
 
 def shown(text: bytes) -> str:

@@ -160,7 +160,7 @@ class Machine:
 
     def equilibrium(self, nozzle: FloatArray) -> FloatArray:
         """Return the state of the vibration model at rest with the nozzle at (3,) mm."""
-        return self.vibration.equilibrium(self.kinematics.inverse(nozzle[None])[0])
+        return self.vibration.steady_motion(self.kinematics.inverse(nozzle[None])[0], np.zeros(3))
 
 
 def value_of(machine: Machine, name: str) -> float:

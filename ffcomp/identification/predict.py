@@ -103,10 +103,10 @@ class _Assembly:
 
 
 def _assembly(machine: Machine, xy: FloatArray, s: ComplexArray) -> _Assembly:
-    j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]
-    load = (gamma * delta_vibration(machine).effector_impedance(s)[:, None, :]) @ j
-    stiffness = load + delta_vibration(machine).carriage_impedance(xy, s)
-    drive = belt(delta_vibration(machine).carriage, s) * drive_frf(delta_vibration(machine).carriage.drive, s)
+    model, here = delta_vibration(machine), machine.kinematics.jacobian(xy[None])
+    j, gamma = here[0], model.load_map(here)[0]
+    stiffness = (gamma * model.effector_impedance(s)[:, None, :]) @ j + model.carriage_impedance(xy, s)
+    drive = belt(model.carriage, s) * drive_frf(model.carriage.drive, s)
     return _Assembly(np.linalg.inv(stiffness), drive, j, gamma)
 
 

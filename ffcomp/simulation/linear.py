@@ -40,7 +40,7 @@ class LinearPlayback:
         state : (18,), at the first sample. None: at rest there
         """
         if state is None:
-            state = self._vibration.equilibrium(self._schedule.carriages.of(nozzle, velocity)[0][0])
+            state = self._vibration.steady_motion(self._schedule.carriages.of(nozzle, velocity)[0][0], np.zeros(3))
         return self._schedule.respond(nozzle, velocity, state, SUBSTEPS)
 
 

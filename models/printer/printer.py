@@ -295,18 +295,13 @@ def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[Pri
 def longest_step(p: PrinterParameters, modes: FloatArray) -> float:
     """Return the longest stable step, s: shorter with backlash and dry friction."""
     friction = float(np.max(p.dry + p.sticking))
-    smooth = min(SMOOTH_STEP_S, longest_of_modes(modes))
+    swinging = modes[:, FREQUENCY2] * ~_is_rigid(modes) * (modes[:, SHARE] != 0.0)
+    smooth = min(SMOOTH_STEP_S, WELL_FOLLOWED / math.sqrt(swinging.max())) if swinging.any() else SMOOTH_STEP_S
     if friction == p.joint_dry == np.max(p.half_backlash) == 0:
         return smooth
     creeping = np.where(p.bristles > 0.0, math.inf, p.creep)  # bristles are no stiffer than a belt
     gentle = float(np.min(creeping)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
     return float(np.clip(gentle, FINEST_STEP_S, min(KINKED_STEP_S, smooth)))
-
-
-def longest_of_modes(modes: FloatArray) -> float:
-    """Return the longest step, s, that follows the quickest mode of straight axes; infinite without any."""
-    swinging = modes[:, FREQUENCY2] * ~_is_rigid(modes) * (modes[:, SHARE] != 0.0)
-    return float(WELL_FOLLOWED / np.sqrt(np.max(swinging))) if swinging.any() else math.inf
 
 
 def _limit_stiffness(p: PrinterParameters, step_s: float) -> PrinterParameters:

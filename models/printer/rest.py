@@ -76,7 +76,7 @@ def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
 
     Zero for cartesian and CoreXY axes, whose weight does not load the belts.
     """
-    if not plant.vibration.gravity_loaded:
+    if plant.vibration.moves != "carriages":
         return np.zeros((len(nozzle), 3))
     reach = plant.kinematics.bed_radius_mm
     return np.asarray(_powers(nozzle[:, :2] / reach) @ _coefficients(plant))

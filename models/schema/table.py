@@ -14,11 +14,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from models.quantities import PLAIN
 
 
-def unit_of(key: str) -> str:
-    """Return the unit in a key's suffix, '' if none."""
-    return PLAIN.unit_of(key)
-
-
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """' Did you mean …?' or nothing."""
     close = difflib.get_close_matches(word, list(known), n=1)
@@ -55,7 +50,7 @@ def number_keys(table: type[BaseModel]) -> Iterator[str]:
         inner = table_of(field.annotation)
         if inner is not None:
             yield from (f"{name}.{key}" for key in number_keys(inner))
-        elif unit_of(name) or name == "damping_ratio":
+        elif PLAIN.unit_of(name) or name == "damping_ratio":
             yield name
 
 
@@ -107,7 +102,7 @@ def _sentence(
     if rule == "literal_error":
         expected = context["expected"]
         return f"{key} = {value!r} must be {expected}.{did_you_mean(str(value), expected.split(chr(39)))}"
-    unit = unit_of(key.split("[")[0])
+    unit = PLAIN.unit_of(key.split("[")[0])
     count = "two" if key in PAIRS else "one to eight" if key.startswith("axes.") else "three"
     text = RULES[rule].format(**context, count=count, unit=f" ({unit})" if unit else "")
     return f"{key} = {'{…}' if isinstance(value, dict) else repr(value)} {text}."

@@ -121,8 +121,6 @@ class VibrationModel(ABC):
     """Whether the response changes over the bed."""
     channels: ClassVar[tuple[str, str, str]]
     """Names of the actuators."""
-    gravity_loaded: ClassVar[bool]
-    """Whether weight loads the vibrating springs."""
     moves: ClassVar[Literal["carriages", "axes", "axis"]] = "carriages"
     """What the motors move, which decides the possible effects."""
 
@@ -215,10 +213,6 @@ class VibrationModel(ABC):
         first = back @ (-back @ plant.b_command - plant.b_slope)
         g1, g2 = plant.carriage @ first, plant.carriage @ (back @ first)
         return -np.diagonal(g1[0]), g1 @ g1 - g2
-
-    def equilibrium(self, q: FloatArray) -> FloatArray:
-        """Return the state at rest with the actuators at (3,) mm."""
-        return self.steady_motion(q, np.zeros(3))
 
     @abstractmethod
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:

@@ -42,7 +42,7 @@ from models.kinematics.delta import DeltaKinematics
 from models.vibration import substructures as sub
 from models.vibration.base import ModelParameter, ParameterSet, PrinterFields, VibrationModel, number_at, with_numbers
 from models.vibration.state_space import StateSpace
-from models.vibration.substructures import Carriage, Drive, Effector
+from models.vibration.substructures import Carriage, Effector
 
 STATES = 18
 W, WD, Q, QD, ETA, ETAD = (slice(3 * i, 3 * i + 3) for i in range(6))
@@ -76,7 +76,6 @@ class DeltaVibration(VibrationModel):
 
     position_dependent: ClassVar[bool] = True
     channels: ClassVar[tuple[str, str, str]] = ("A", "B", "C")
-    gravity_loaded: ClassVar[bool] = True
 
     def on(self, kinematics: Kinematics) -> DeltaVibration:
         """Return the model bound to a delta's kinematics; TypeError for any other."""
@@ -134,14 +133,11 @@ class DeltaVibration(VibrationModel):
         """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
         return self.kinematics.jacobian(xy)
 
-    def load_map(self, xy: FloatArray) -> FloatArray:
-        """Return Γ, the share of each carriage: F_q = Γ W X, with Γ = Jᵀ or rows J_iᵀ P_i (Eq. 27).
+    def load_map(self, j: FloatArray) -> FloatArray:
+        """Return Γ, the share of each carriage, of J (n, 3, 3): F_q = Γ W X, with Γ = Jᵀ or rows J_iᵀ P_i (Eq. 27).
 
-        (n, 3, 3) N/N at (n, 2) mm; rows carriages A B C, columns X Y Z of the force.
+        (n, 3, 3) N/N; rows carriages A B C, columns X Y Z of the force.
         """
-        return self._load_map(self.kinematics.jacobian(xy))
-
-    def _load_map(self, j: FloatArray) -> FloatArray:
         if self.effector.force_map == "virtual_work":
             return j.transpose(0, 2, 1)
         return np.einsum("nai,iab->nib", j, sub.load_distribution(self.kinematics.tower_angles_rad, self.effector))
@@ -160,8 +156,8 @@ class DeltaVibration(VibrationModel):
     def equations(self, xy: FloatArray) -> EquationsOfMotion:
         """Return M, C and K at positions (n, 2) mm."""
         carriage, effector = self.carriage, self.effector
-        j, gamma = self.kinematics.jacobian(xy), self.load_map(xy)
-        extruder = effector.extruder_mass_kg
+        j, extruder = self.jacobian(xy), effector.extruder_mass_kg
+        gamma = self.load_map(j)
         carriages = carriage.moving_mass_kg * np.eye(3) + (self.nozzle_side_mass_kg + extruder) * gamma @ j
         carriages = carriages - self.arm_inertia(j)
         relative = np.broadcast_to(extruder * np.eye(3), j.shape)
@@ -214,14 +210,14 @@ class DeltaVibration(VibrationModel):
 
     def state_space(self, xy: FloatArray) -> StateSpace:
         """Return the plant of 18 states frozen at each of the positions (g, 2) mm."""
-        g, eq = len(xy), self.equations(xy)
+        g, eq, j = len(xy), self.equations(xy), self.jacobian(xy)
         forces = np.zeros((g, 6, 12 + 9))  # of (q, η, q̇, η̇), u, u̇, f
         forces[:, :, :6], forces[:, :, 6:12] = -np.diag(eq.stiffness), -np.diag(eq.damping)
         forces[:, :3, 12:15] = np.diag(eq.stiffness[:3])
         forces[:, :3, 15:18] = np.broadcast_to(self.carriage.belt_damping_n_s_per_m, 3) * np.eye(3)
         m2 = self.effector.extruder_mass_kg
-        forces[:, :3, 18:], forces[:, 3:, 18:] = -(self.nozzle_side_mass_kg + m2) * self.load_map(xy), -m2 * np.eye(3)
-        forces[:, :3, 18:] += self.carriage.arm_inertia_kg * (3 * self.jacobian(xy).transpose(0, 2, 1) - [0, 0, 1])
+        forces[:, :3, 18:], forces[:, 3:, 18:] = -(self.nozzle_side_mass_kg + m2) * self.load_map(j), -m2 * np.eye(3)
+        forces[:, :3, 18:] += self.carriage.arm_inertia_kg * (3 * j.transpose(0, 2, 1) - [0, 0, 1])
         accelerations = np.linalg.solve(eq.mass, forces)
         a, inputs = np.zeros((g, STATES, STATES)), np.zeros((3, g, STATES, 3))
         a[:, Q, QD] = a[:, ETA, ETAD] = np.eye(3)
@@ -275,16 +271,18 @@ class DeltaVibration(VibrationModel):
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
         """Return the model's numbers for the nonlinear printer's kernels, SI."""
         carriage, effector = self.carriage, self.effector
-        paper = effector.force_map == "paper"
+        drive: PrinterFields = {"ideal_drive": True}
+        if d := carriage.drive:
+            drive = {"d0": d.d0_per_s2, "lead": d.d1_per_s / d.d0_per_s2, "d2": d.d2_per_s}
         return {
             "carriage_mass": carriage.moving_mass_kg,
             "weight": carriage.moving_mass_kg * gravity_m_per_s2,
             "belt_k": carriage.belt_stiffness_n_per_m,
             "belt_c": carriage.belt_damping_n_s_per_m,
             "guide_b": carriage.guide_damping_n_s_per_m,
-            **(_drive_parameters(carriage.drive) if carriage.drive else {"ideal_drive": True}),
+            **drive,
             "shares": sub.load_distribution(self.kinematics.tower_angles_rad, effector)
-            if paper
+            if effector.force_map == "paper"
             else np.stack([np.eye(3)] * 3),
             "holder_mass": self.nozzle_side_mass_kg,
             "arm_inertia": carriage.arm_inertia_kg,
@@ -298,7 +296,7 @@ class DeltaVibration(VibrationModel):
     def _least_inertia(self) -> float:
         """Return the least mass, kg, that a combination of forces on the carriages moves, at the centre and the rim."""
         j = _middle_and_rim(self.kinematics)
-        load = self.nozzle_side_mass_kg * self._load_map(j) @ j - self.arm_inertia(j)
+        load = self.nozzle_side_mass_kg * self.load_map(j) @ j - self.arm_inertia(j)
         return float(np.linalg.eigvals(self.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
     @property
@@ -327,7 +325,3 @@ class DeltaVibration(VibrationModel):
 def _middle_and_rim(kinematics: DeltaKinematics) -> FloatArray:
     """Return J (13, 3, 3) at the centre and around the rim."""
     return kinematics.jacobian(kinematics.rings(1, 12))
-
-
-def _drive_parameters(drive: Drive) -> PrinterFields:
-    return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}

@@ -88,7 +88,6 @@ class DrivenAxis(VibrationModel):
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = ("q", "", "")
-    gravity_loaded: ClassVar[bool] = False  # its weight is in `offset_n`
     moves: ClassVar[Literal["carriages", "axes", "axis"]] = "axis"
 
     @property

@@ -118,7 +118,6 @@ class ModalAxes(VibrationModel):
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
-    gravity_loaded: ClassVar[bool] = False  # weight does not load the belts
     moves: ClassVar[Literal["carriages", "axes", "axis"]] = "axes"
 
     @classmethod

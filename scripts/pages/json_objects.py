@@ -32,9 +32,9 @@ from ffcomp.record.plan import Plan
 from ffcomp.responses.result import Bode
 from ffcomp.result import Answer, Result
 from ffcomp.simulation.expectation import Expectation
+from models import quantities
 from models.checks import Extreme
 from models.machine import Machine
-from models.schema.table import unit_of
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reference" / "json.md"
@@ -90,7 +90,7 @@ def _filled(match: re.Match[str], classes: Sequence[type]) -> str:
     first = [("schema", "text")] if match[1].startswith("ffcomp-") else []
     last = [("answer", "ANSWER")] if issubclass(classes[0], Result) else []
     for key, kind in (*first, *own, *last):
-        of_key = unit_of(key.rpartition(".")[2].removesuffix("[]"))
+        of_key = quantities.PLAIN.unit_of(key.rpartition(".")[2].removesuffix("[]"))
         was, unit, meaning, *_ = by_hand.get(f"`{key}`", (kind, of_key, ""))
         text += f"| `{key}` | {kind or was} | {unit} | {meaning} |\n".replace("|  |\n", "| |\n")
     return match[0].removesuffix(match[2]) + text

@@ -9,8 +9,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from models.quantities import PLAIN
 from models.schema.documents import AxisDocument, DeltaDocument, StraightDocument
-from models.schema.table import unit_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "machine_file.md"
 
@@ -74,10 +74,10 @@ def of_schema(document: Any, path: str) -> list[list[str]]:
         table = _object(schema, table["properties"][part])
     rows = []
     for key, field in table["properties"].items():
-        if path or key not in TABLES:
+        if (path or key not in TABLES) and "$ref" not in str(field):
             default = "**required**" if key in table.get("required", []) else _default(field)
-            if "$ref" not in str(field):
-                rows.append([f"`{key}`", unit_of(key) or ("s" if key.endswith("_s") else ""), _range(field), default])
+            unit = PLAIN.unit_of(key) or ("s" if key.endswith("_s") else "")
+            rows.append([f"`{key}`", unit, _range(field), default])
     return rows
 
 

@@ -39,7 +39,7 @@ def shaken(seconds: float = 0.5, rate_hz: int = RATE_HZ) -> FloatArray:
 def linear(of: Machine, command: FloatArray) -> FloatArray:
     """The nozzle of the linear model under straight segments."""
     plant = discretise(of.vibration.state_space(np.zeros((1, 2))), 1 / RATE_HZ)
-    state, found = of.vibration.equilibrium(command[0]), [command[0]]
+    state, found = of.vibration.steady_motion(command[0], np.zeros(3)), [command[0]]
     for before, after in pairwise(command):
         state = plant.a[0] @ state + plant.b0[0] @ before + plant.b1[0] @ after
         found.append(plant.carriage @ state)

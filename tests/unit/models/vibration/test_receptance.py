@@ -26,7 +26,7 @@ def test_six_rods_carry_the_virtual_work_load(rigid, seed: int, bed: np.ndarray)
     machine = rigid(offset=tuple(generator.uniform(-60, 60, 3)))
     w = delta_vibration(machine).effector_impedance(S[[30]])[0].real
     force = w * generator.normal(size=3)
-    wanted = delta_vibration(machine).load_map(bed) @ force
+    wanted = delta_vibration(machine).load_map(machine.kinematics.jacobian(bed)) @ force
     rods = [_rod_loads(machine, xy, force) for xy in bed]
     np.testing.assert_allclose(rods / np.abs(wanted).max(), wanted / np.abs(wanted).max(), rtol=0, atol=1e-12)
 
@@ -62,7 +62,8 @@ def test_slow_commands_are_followed_exactly(printer: Machine, force_map: str, xy
 def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) -> None:
     """The paper's own form, sub-models by themselves: (I − G_Fq Γ W J) G = G_qd."""
     place = np.array(xy)
-    j, gamma = as_printed.kinematics.jacobian(place[None])[0], delta_vibration(as_printed).load_map(place[None])[0]
+    j = as_printed.kinematics.jacobian(place[None])[0]
+    gamma = delta_vibration(as_printed).load_map(j[None])[0]
     g = as_printed.vibration.frequency_response(place, FREQUENCIES)
     w = delta_vibration(as_printed).effector_impedance(S)[:, :, None] * np.eye(3)
     loop = (
@@ -86,7 +87,8 @@ def test_shapes_are_free_vibrations(printer: Machine, force_map: str) -> None:
     found = machine.vibration.modes_at(place)
     zeta = found.damping_ratios
     every = 2 * np.pi * found.frequencies_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    j, gamma = machine.kinematics.jacobian(place[None])[0], delta_vibration(machine).load_map(place[None])[0]
+    j = machine.kinematics.jacobian(place[None])[0]
+    gamma = delta_vibration(machine).load_map(j[None])[0]
     for pole, shape in zip(every, found.shapes, strict=True):
         w = delta_vibration(machine).effector_impedance(np.array([pole]))[0]
         z = impedance(delta_vibration(machine).carriage, np.array([pole]))[0] * np.eye(3) + gamma * w @ j
