@@ -44,7 +44,7 @@ from ffcomp.firmware.program import firmware_plan
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.crossings import Knots, on_grid
 from ffcomp.steps.sink import Board, StepSink
-from gcode.dialects import detect_flavor
+from gcode.dialects import flavor_sign
 from gcode.reader import read_parts, read_program
 from models.effects.catalogue import with_effect
 from models.file import load_machine
@@ -184,7 +184,7 @@ def read(paths: Sequence[Path], rounds: int, size: int = READ_BYTES) -> Rows:
         per_line = []
         for text, most in ((data, size), (slow, min(size, GENERAL_BYTES))):
             times = max(1, round(most / len(text)))
-            flavor = detect_flavor([text])
+            flavor = flavor_sign([text]).flavor
 
             def work(text: bytes = text, times: int = times, flavor: Any = flavor) -> int:
                 blocks = repeat(text, times)

@@ -59,11 +59,6 @@ class FlavorSign(NamedTuple):
     certain: bool = False
 
 
-def detect_flavor(lines: Iterable[bytes]) -> str:
-    """Detect "klipper", "marlin" or "reprapfirmware"; Marlin if there is no evidence."""
-    return flavor_sign(lines).flavor
-
-
 def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
     """Find the evidence for a firmware; Marlin if there is none."""
     text = b"".join(lines)

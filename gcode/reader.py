@@ -63,7 +63,7 @@ def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **se
     path : the file's name, for errors
     flavor : "klipper", "marlin" or "reprapfirmware"; None: detect it
     """
-    return _Reader(path, flavor or dialects.detect_flavor([data]), **settings).program(data)
+    return _Reader(path, flavor or dialects.flavor_sign([data]).flavor, **settings).program(data)
 
 
 def read_parts(

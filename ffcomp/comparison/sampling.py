@@ -15,7 +15,7 @@ from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import Motion, path_corners, planned_motion
-from gcode.dialects import detect_flavor
+from gcode.dialects import flavor_sign
 from gcode.layers import Labels, labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
@@ -110,7 +110,7 @@ class Print:
         self.data, self.path, self.machine, self.offset = data, path, machine, offset
         stated = flavor or machine.flavor
         program = read_program(data, path, offset_mm=offset, flavor=stated or None, **known_to_the_firmware(machine))
-        self.flavor = stated or detect_flavor(program.lines)
+        self.flavor = stated or flavor_sign(program.lines).flavor
         self.planned = plan_program(within_reach(program, machine.kinematics), machine)
         self.labels: Labels = labels(self.program)
 

@@ -290,7 +290,7 @@ def axis_candidates(
         # one sensor alone lags as its drive does; and where an axis restarts all the time, it remembers nothing
         and (CATALOGUE[name].needs != "two sensors" or (len(signals) > 1 and not axis.free))
         and (CATALOGUE[name].needs != "turning" or scales.travel_m > 0.5)  # rad; below, a weight pulls as a spring does
-        and any(p.on_axis.usual is not None for p in CATALOGUE[name].amplitudes)
+        and any(p.usual is not None for p in CATALOGUE[name].amplitudes)
     ]
     candidates = tuple(
         _with_lines(_axis_candidate(effect, scales, signals, lines or pitches), effect, scales, lines)
@@ -334,7 +334,7 @@ def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales,
 def _axis_candidate(
     effect: Effect, scales: MotionScales, signals: Sequence[str], pitches: Sequence[float] = ()
 ) -> Candidate:
-    sized = [p for p in effect.amplitudes if p.on_axis.usual is not None]
+    sized = [p for p in effect.amplitudes if p.usual is not None]
     amplitudes = tuple(_axis_amplitude(effect, p, scales, i) for p in sized for i in _numbers_of(p, signals))
     searched = _searched(effect)
     starts = {
@@ -351,21 +351,19 @@ def _axis_candidate(
 
 def _numbers_of(p: EffectParameter, signals: Sequence[str]) -> list[int]:
     """Return which of a vector's numbers these signals show; of one number, the first."""
-    return [i for i, s in enumerate(p.on_axis.signals) if s in signals] if p.size == "vector3" else [0]
+    return [i for i, s in enumerate(p.signals) if s in signals] if p.size == "vector3" else [0]
 
 
 def _axis_amplitude(effect: Effect, p: EffectParameter, scales: MotionScales, line: int = 0) -> Parameter:
     suffix = f"[{line}]" if p.size == "vector3" else ""
     low, high = p.bounds
-    size = p.on_axis.usual(scales) if p.on_axis.usual is not None else 0.0
-    return Parameter(
-        _full(effect, p, line) + suffix, 0.0, size, low if p.on_axis.lowest is None else p.on_axis.lowest, high
-    )
+    size = p.usual(scales) if p.usual is not None else 0.0
+    return Parameter(_full(effect, p, line) + suffix, 0.0, size, low if p.lowest is None else p.lowest, high)
 
 
 def _axis_starts(p: EffectParameter, scales: MotionScales) -> list[float]:
     """Return the values of a shape where a search begins."""
-    starts = (p.starts or p.typical) if p.starts or p.on_axis.tried is None else p.on_axis.tried(scales)
+    starts = (p.starts or p.typical) if p.starts or p.tried is None else p.tried(scales)
     return list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in starts))
 
 
@@ -406,9 +404,9 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         if key == WHOLE:
             table[WHOLE] = value
         elif index is None:
-            table[key] = _machine_value(effect.parameter(key), value)
+            table[key] = _machine_value(effect.by_name[key], value)
         else:
-            each = effect.parameter(key)
+            each = effect.by_name[key]
             none = _machine_value(each, 0.0, True) if each.default is None else each.default
             row = table.setdefault(key, [] if each.size == "lines" else [none, none, none])
             row += [none] * (int(index) + 1 - len(row))

@@ -247,7 +247,7 @@ class DiagnosisResult:
     def _interval(self, effect: str, key: str, table: Any) -> Interval:
         """Return the interval of one key; `table` : its value in the machine file."""
         name = f"effects.{effect}.{key}"
-        if CATALOGUE[effect].parameter(key).size == "direction":
+        if CATALOGUE[effect].by_name[key].size == "direction":
             angle = self.intervals[name]
             ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (angle.low, angle.high)]
             return Interval(table, *((table, table) if isinstance(table, str) else ends))
@@ -427,7 +427,7 @@ def _in_file_terms(name: str, e: Estimate) -> Interval:
     """Convert back from a logarithm, or from value ** power, which reverses an interval if the power is negative."""
     _, effect, key = name.split(".")
     key = key.partition("[")[0]
-    shape = None if key == WHOLE else CATALOGUE[effect].parameter(key)
+    shape = None if key == WHOLE else CATALOGUE[effect].by_name[key]
     if shape is not None and shape.logarithmic:
         return Interval(*(math.exp(x) for x in (e.value, e.low, e.high)))
     if shape is not None and shape.power != 1 and e.value > 0:

@@ -350,8 +350,8 @@ def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list
 
 
 def _median_shares(joined: Sequence[Joined], machine: Machine) -> dict[str, float]:
-    """Return how much of the motion along each axis its chip feels, where another thing than the nozzle may move."""
-    if not (machine.kinematics.bed_may_move and joined):
+    """Return how much of the motion along each axis its chip feels, where the bed may move: each axis has its motor."""
+    if not joined or machine.vibration.moves != "axes" or machine.kinematics.shares_motors:
         return {}
     return dict(zip(AXES, np.median([each.felt for each in joined], axis=0).tolist(), strict=True))
 

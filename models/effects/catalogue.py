@@ -39,7 +39,7 @@ def effects_of(*moves: str) -> tuple[str, ...]:
 
 def key_in_file(effect: str, key: str, quantities: Quantities) -> str:
     """Return the key of a parameter in a machine file: `force_n`, or `force_n_per_kg`, or `torque_n_m`."""
-    per_kilogram = quantities.per_kilogram and effect_named(effect).parameter(key).of_mass
+    per_kilogram = quantities.per_kilogram and effect_named(effect).by_name[key].of_mass
     return f"{key}{PER_KILOGRAM}" if per_kilogram else quantities.key(key)
 
 

@@ -112,8 +112,8 @@ ARM_INERTIA = _part(
 
 
 def _other_geometry(machine: Machine, values: Values) -> Machine:
-    true = machine.kinematics.recalibrated(values["arm_length_mm"], values["delta_radius_mm"])
-    return replace(machine, kinematics=true or machine.kinematics)
+    nominal = delta_vibration(machine).kinematics
+    return replace(machine, kinematics=nominal.recalibrated(values["arm_length_mm"], values["delta_radius_mm"]))
 
 
 ARM_GEOMETRY = _part(

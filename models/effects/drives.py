@@ -8,13 +8,12 @@ from functools import partial
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import AT_DRIVE, EACH, USUAL_SHARE, Effect, OnAxis, Terms, Values, amplitude, shape
+from models.effects.effect import AT_DRIVE, EACH, USUAL_SHARE, Effect, Terms, Values, amplitude, shape
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
 _drive = partial(Effect, of_motors=True)
 ANY = ("carriages", "axes", "axis")
-USUAL_STRETCH = OnAxis(usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
 
 
 def _with_belts(machine: Machine, values: Values) -> Machine:
@@ -175,7 +174,7 @@ BELT_BACKLASH = _drive(
             0.02,
             EACH,
             on_printers=(0, 5),
-            on_axis=USUAL_STRETCH,
+            usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m,
         ),
         shape(
             "landing_s_per_m",
@@ -250,7 +249,9 @@ COGGING = _drive(
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
-        amplitude("amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, EACH, on_axis=USUAL_STRETCH),
+        amplitude(
+            "amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, EACH, usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m
+        ),
         shape(
             "pitch_mm",
             "p: period of the ripple, usually one or four full steps",

@@ -46,16 +46,6 @@ class MotionScales:
 
 
 @dataclass(frozen=True)
-class OnAxis:
-    """Where a diagnosis looks for a parameter on an axis by itself, which may be of any size."""
-
-    usual: Callable[[MotionScales], float] | None = None  # size of a usual effect; None: not on an axis
-    tried: Callable[[MotionScales], Sequence[float]] | None = None  # starts of the search for a shape
-    lowest: float | None = None  # in place of the lower one of `bounds`
-    signals: tuple[str, ...] = ("acc_q",)  # one for each number of a vector
-
-
-@dataclass(frozen=True)
 class EffectParameter:
     """One key of `[effects.name]`.
 
@@ -76,7 +66,11 @@ class EffectParameter:
     logarithmic: bool = False  # a shape that is known by its order of magnitude only
     starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
-    on_axis: OnAxis = OnAxis()
+    # where a diagnosis looks for it on an axis by itself, which may be of any size
+    usual: Callable[[MotionScales], float] | None = None  # size of a usual effect; None: not on an axis
+    tried: Callable[[MotionScales], Sequence[float]] | None = None  # starts of the search for a shape
+    lowest: float | None = None  # in place of the lower one of `bounds`
+    signals: tuple[str, ...] = ("acc_q",)  # one for each number of a vector
 
     def on(self, quantities: Quantities) -> EffectParameter:
         """Return the parameter with the keys, units and numbers of an axis, for display only."""
@@ -135,21 +129,9 @@ class EffectParameter:
         return f" ({self.unit})" if self.unit else ""
 
 
-def amplitude(
-    name: str,
-    meaning: str,
-    bounds: tuple[float, float],
-    typical: tuple[float, float],
-    probe: float,
-    size: Size = "scalar",
-    **more: Any,
-) -> EffectParameter:
-    """Declare an amplitude; `more` may have fields of `OnAxis`, and a `unit` where the name has none."""
-    on_axis = {key: more.pop(key) for key in OnAxis.__dataclass_fields__ if key in more}
-    unit = more.pop("unit", PLAIN.unit_of(name))
-    if on_axis:
-        more["on_axis"] = OnAxis(**on_axis)
-    return EffectParameter(name, unit, meaning, bounds, typical, probe, size, **more)
+def amplitude(name: str, *declared: Any, unit: str | None = None, **more: Any) -> EffectParameter:
+    """Declare an amplitude by the fields of `EffectParameter` from `meaning` on; `unit` where the name has none."""
+    return EffectParameter(name, PLAIN.unit_of(name) if unit is None else unit, *declared, **more)
 
 
 shape = partial(amplitude, role="shape")  # declares a shape in the same way
@@ -220,10 +202,6 @@ class Effect:
     def cause(self) -> str:
         """What laws of one cause share; of any other effect its own name."""
         return self.law_of or self.name
-
-    def parameter(self, name: str) -> EffectParameter:
-        """Return the parameter of that name; KeyError if there is none."""
-        return self.by_name[name]
 
     @cached_property
     def by_name(self) -> dict[str, EffectParameter]:

@@ -12,7 +12,6 @@ from models.effects.effect import (
     USUAL_SHARE,
     Effect,
     EffectParameter,
-    OnAxis,
     Size,
     Terms,
     Values,
@@ -22,8 +21,6 @@ from models.effects.effect import (
 
 LEAST_FORCE_N = 1e-12  # of a weight
 FORCES, OF_PRINTERS = (0, 1e5), (0, 200)  # N: the joint of a robot may have hundreds
-USUAL_DAMPING = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s)
-USUAL_FORCE = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n)
 PRESLIDING = shape(
     "presliding_mm",
     "s₀: presliding distance, in place of creep and hold; 0: use those",
@@ -61,7 +58,7 @@ GUIDE_DAMPING = Effect(
             1.0,
             EACH,
             on_printers=(-1000, 10000),
-            on_axis=USUAL_DAMPING,
+            usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s,
         ),
     ),
     in_data="Lower, broader resonances, and a lag proportional to speed.",
@@ -113,7 +110,7 @@ COULOMB_FRICTION = Effect(
             0.5,
             EACH,
             on_printers=OF_PRINTERS,
-            on_axis=USUAL_FORCE,
+            usual=lambda s: USUAL_SHARE * s.force_n,
         ),
         *reversal_parameters(EACH),
     ),
@@ -140,7 +137,14 @@ STRIBECK_FRICTION = Effect(
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
         amplitude(
-            "force_n", "friction at speed", FORCES, (0.5, 10), 0.5, EACH, on_printers=OF_PRINTERS, on_axis=USUAL_FORCE
+            "force_n",
+            "friction at speed",
+            FORCES,
+            (0.5, 10),
+            0.5,
+            EACH,
+            on_printers=OF_PRINTERS,
+            usual=lambda s: USUAL_SHARE * s.force_n,
         ),
         amplitude(
             "extra_force_n",
@@ -186,7 +190,7 @@ BRISTLE_FRICTION = Effect(
     physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
-        amplitude("force_n", "F_C: once it slides", FORCES, (0.5, 10), 0.5, on_axis=USUAL_FORCE),
+        amplitude("force_n", "F_C: once it slides", FORCES, (0.5, 10), 0.5, usual=lambda s: USUAL_SHARE * s.force_n),
         shape(
             "presliding_mm",
             "s₀: presliding distance",
@@ -239,7 +243,7 @@ FRICTION_BY_DIRECTION = Effect(
             (-1e5, 1e5),
             (-50, 50),
             2.0,
-            on_axis=USUAL_DAMPING,
+            usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s,
         ),
     ),
     in_data="The two directions need different forces at the same speed; the difference grows with speed.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.effects.effect import EACH, USUAL_SHARE, Effect, MotionScales, OnAxis, Terms, Values, amplitude, shape
+from models.effects.effect import EACH, USUAL_SHARE, Effect, MotionScales, Terms, Values, amplitude, shape
 
 
 def _frame_terms(values: Values, printer: Terms) -> Terms:
@@ -88,14 +88,13 @@ GANTRY_RACKING = Effect(
             starts=(60.0, 22.0, 30.0, 41.0, 80.0, 110.0),
         ),
         shape("damping_ratio", "ζ", (0, 1), (0.02, 0.12), 0.01),
-        shape("x_centre_mm", "x_c: the gantry's middle", (-1000, 1000), (0, 300), 5.0, "scalar"),
+        shape("x_centre_mm", "x_c: the gantry's middle", (-1000, 1000), (0, 300), 5.0),
         shape(
             "tool_share",
             "μ: the toolhead's fraction of the mass that moves along y",
             (0, 1),
             (0.2, 0.8),
             0.05,
-            "scalar",
             default=0.5,
         ),
         shape(
@@ -104,7 +103,6 @@ GANTRY_RACKING = Effect(
             (-500, 500),
             (-40, 40),
             5.0,
-            "scalar",
             default=0.0,
             starts=(0.0, 20.0),
         ),
@@ -139,7 +137,7 @@ TOOLHEAD_MODE = Effect(
     parameters=(
         amplitude("slope_per_m", "r, of ω² of the axis' highest mode", (-10, 10), (-2, 2), 0.05, EACH),
         amplitude("curve_per_m2", "h", (-200, 200), (-20, 20), 0.5, EACH, unit="1/m²"),
-        shape("x_centre_mm", "x_c: where ω is the file's", (-1000, 1000), (0, 300), 5.0, "scalar"),
+        shape("x_centre_mm", "x_c: where ω is the file's", (-1000, 1000), (0, 300), 5.0),
     ),
     in_data="The frequency of a resonance along x or y depends on x.",
     confounded_with={
@@ -230,9 +228,6 @@ def _force_pitches(s: MotionScales) -> list[float]:
     return [1e3 * s.travel_m / turns for turns in np.arange(2.0, 40.0, TURN_APART).tolist()]
 
 
-USUAL_RIPPLE = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n / 3)
-
-
 COGGING_FORCE = Effect(
     name="cogging_force",
     title="A force that repeats along the axis",
@@ -242,8 +237,8 @@ COGGING_FORCE = Effect(
     ),
     equation="F = Σ s sin(2π q/p) + c cos(2π q/p)",
     parameters=(
-        amplitude("sine_n", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
-        amplitude("cosine_n", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
+        amplitude("sine_n", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", usual=lambda s: USUAL_SHARE * s.force_n / 3),
+        amplitude("cosine_n", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", usual=lambda s: USUAL_SHARE * s.force_n / 3),
         shape(
             "pitch_mm", "p; 2π/N rad for N lines a turn", (0.01, 10_000), (1, 50), 0.5, "lines", tried=_force_pitches
         ),

@@ -109,11 +109,6 @@ class Kinematics(ABC):
         """Return six positions (6, 2) mm around the centre, at a share of the way out and a margin from the border."""
 
     @property
-    def bed_may_move(self) -> bool:
-        """Return whether one part may move along x and another along y, as toolhead and bed of a bed slinger."""
-        return False
-
-    @property
     def centre_mm(self) -> tuple[float, float]:
         """Return the middle of the bed."""
         return 0.0, 0.0
@@ -183,10 +178,6 @@ class Kinematics(ABC):
     @abstractmethod
     def setup_notes(self) -> list[str]:
         """Return a checklist for the printer before its vibrations are measured."""
-
-    def recalibrated(self, arm_length_mm: FloatArray, delta_radius_mm: FloatArray) -> Kinematics | None:
-        """Return these kinematics with changes (3,) mm added to arms and radii; None without arms."""
-        return None
 
     def printer_parameters(self) -> dict[str, FloatArray | float]:
         """Return the fields of the nonlinear printer's record that follow from the kinematics, SI."""

@@ -126,11 +126,6 @@ class CartesianKinematics(Kinematics):
         return [bed, "  plan these by themselves, with --axes y."]
 
     @property
-    def bed_may_move(self) -> bool:
-        """Return whether a motor moves one axis only."""
-        return bool(np.count_nonzero(self.motor_matrix) == len(self.motor_matrix))
-
-    @property
     def centre_mm(self) -> tuple[float, float]:
         """Return the middle of the bed; the origin of an unlimited axis."""
         bed = self.range_mm[:2]

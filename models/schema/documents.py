@@ -54,7 +54,7 @@ def mass_problems(name: str, table: Any, weighed: bool) -> Iterator[str]:
         return
     for key in table:
         plain = key.removesuffix(PER_KILOGRAM)
-        if plain not in CATALOGUE[name].by_name or not CATALOGUE[name].parameter(plain).of_mass:
+        if plain not in CATALOGUE[name].by_name or not CATALOGUE[name].by_name[plain].of_mass:
             continue
         if weighed and plain != key:
             yield f"effects.{name}.{key}: use {plain}, because the axes state their mass_kg."
@@ -97,10 +97,10 @@ def effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
     for key, value in table.items():
         if key not in effect.by_name:
             yield f"effects.{name}.{key} is not a parameter of this effect.{did_you_mean(key, effect.by_name)}"
-        elif rule := effect.parameter(key).problem(value):
+        elif rule := effect.by_name[key].problem(value):
             yield f"effects.{name}.{key} = {value!r} {rule}."
     for key in effect.missing(table):
-        yield f"effects.{name}.{key} is missing; {effect.parameter(key).meaning}."
+        yield f"effects.{name}.{key} is missing; {effect.by_name[key].meaning}."
     counts = {
         key: np.size(table[key]) for key in table if key in effect.by_name and effect.by_name[key].size == "lines"
     }

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
-from models.kinematics.base import Kinematics
+from models.kinematics.base import AXES, Kinematics
 from models.quantities import Quantities
 from models.vibration.state_space import StateSpace
 
 if TYPE_CHECKING:
     from control import StateSpace as ControlStateSpace
 
+KINDS = {"carriage": "pos", "nozzle": "pos", "acceleration": "acc"}
 SWINGING = 1e-6  # imaginary part of a pole over its size; below, rounding alone keeps two real poles from meeting
 
 Output = Literal["carriage", "nozzle", "acceleration"]  # the output; acceleration: of the nozzle, s² X
@@ -265,9 +266,50 @@ class VibrationModel(ABC):
     def to_control(
         self, xy: Sequence[float] | FloatArray, output: Output = "carriage", input: Input = "carriage"
     ) -> ControlStateSpace:
-        """Return the model at one position (2,) mm as a state space of python-control."""
+        """Return the model at one position (2,) mm as a state space of python-control.
+
+        Inputs cmd_A … or cmd_x …, outputs pos_A …, pos_x … or acc_x …; states in mm and mm/s. An ideal drive's states
+        are left out. It hands the belt's damper the command's slope, ẋ = A x + B u + Bₛ u̇. The states z = x − Bₛ u need
+        no slope: ż = A z + (B + A Bₛ) u, and only velocities differ between z and x, so positions read the same.
+
+        Raises
+        ------
+        ValueError
+            For the acceleration with an ideal drive and a damped belt: it follows the command's slope, so no state
+            space of the command has it.
+        ImportError
+            Without python-control.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise ImportError("to_control() needs python-control: pip install 'ffcomp[control]'.") from error
+
         at = np.asarray(xy, dtype=np.float64)[None]
-        return to_control(self.state_space(at), self.jacobian(at)[0], self.channels, output, input)
+        plant, jacobian = self.state_space(at), self.jacobian(at)[0]
+        a, slope, c = plant.a[0], plant.b_slope[0], plant.carriage
+        b = plant.b_command[0] + a @ slope
+        rows = c if output == "carriage" else jacobian @ c
+        direct = np.zeros((3, 3))
+        if output == "acceleration":
+            if np.any(slope):
+                raise ValueError(
+                    "The acceleration has no state space of the command: a drive is ideal and its belt is damped, so "
+                    "the acceleration follows the command's slope at once; give the machine a drive, or use 'nozzle' "
+                    "and differentiate."
+                )
+            rate = jacobian @ (c @ a)
+            rows, direct = rate @ a, rate @ b
+        turn = np.eye(3) if input == "carriage" else np.linalg.inv(jacobian)
+        drives = plant.drive_states
+        keep = np.arange(drives if not np.any(a[drives:, :drives]) else 0, len(a))
+        names = {
+            "inputs": [f"cmd_{name}" for name in (self.channels if input == "carriage" else AXES)],
+            "outputs": [f"{KINDS[output]}_{name}" for name in (self.channels if output == "carriage" else AXES)],
+            "states": [plant.names[i] for i in keep],
+        }
+        matrices = a[np.ix_(keep, keep)], b[keep] @ turn, rows[:, keep], direct @ turn
+        return control.StateSpace(*matrices, **names, name=f"{output}_per_{input}")
 
 
 def _vibrations(pole: ComplexArray, shape: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
@@ -278,60 +320,3 @@ def _vibrations(pole: ComplexArray, shape: ComplexArray) -> tuple[FloatArray, Fl
     swinging = shape[:, upper].T
     length = np.linalg.norm(swinging, axis=1, keepdims=True)
     return natural / (2 * np.pi), -pole[upper].real / natural, swinging / length
-
-
-# -- python-control, slow to import --
-
-AXES = ("x", "y", "z")
-KINDS = {"carriage": "pos", "nozzle": "pos", "acceleration": "acc"}
-
-
-def to_control(
-    plant: StateSpace, jacobian: FloatArray, channels: Sequence[str], output: str, input: str
-) -> ControlStateSpace:
-    """Return the first position of a plant as a state space of python-control.
-
-    Inputs cmd_A … or cmd_x …, outputs pos_A …, pos_x … or acc_x …; states in mm and mm/s. An ideal drive's states are
-    left out. It hands the belt's damper the command's slope, ẋ = A x + B u + Bₛ u̇. The states z = x − Bₛ u need no
-    slope: ż = A z + (B + A Bₛ) u, and only velocities differ between z and x, so positions read the same.
-
-    Parameters
-    ----------
-    jacobian : (3, 3) mm/mm, of the nozzle's motion from the actuators' at that position.
-
-    Raises
-    ------
-    ValueError
-        For the acceleration with an ideal drive and a damped belt: it follows the command's slope, so no state space
-        of the command has it.
-    ImportError
-        Without python-control.
-    """
-    try:
-        import control
-    except ImportError as error:
-        raise ImportError("to_control() needs python-control: pip install 'ffcomp[control]'.") from error
-
-    a, slope, c = plant.a[0], plant.b_slope[0], plant.carriage
-    b = plant.b_command[0] + a @ slope
-    rows = c if output == "carriage" else jacobian @ c
-    direct = np.zeros((3, 3))
-    if output == "acceleration":
-        if np.any(slope):
-            raise ValueError(
-                "The acceleration has no state space of the command: a drive is ideal and its belt is damped, so the "
-                "acceleration follows the command's slope at once; give the machine a drive, or use 'nozzle' and "
-                "differentiate."
-            )
-        rate = jacobian @ (c @ a)
-        rows, direct = rate @ a, rate @ b
-    turn = np.eye(3) if input == "carriage" else np.linalg.inv(jacobian)
-    drives = plant.drive_states
-    keep = np.arange(drives if not np.any(a[drives:, :drives]) else 0, len(a))
-    names = {
-        "inputs": [f"cmd_{name}" for name in (channels if input == "carriage" else AXES)],
-        "outputs": [f"{KINDS[output]}_{name}" for name in (channels if output == "carriage" else AXES)],
-        "states": [plant.names[i] for i in keep],
-    }
-    matrices = a[np.ix_(keep, keep)], b[keep] @ turn, rows[:, keep], direct @ turn
-    return control.StateSpace(*matrices, **names, name=f"{output}_per_{input}")

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from gcode.dialects import detect_flavor
+from gcode.dialects import flavor_sign
 
 
 @pytest.mark.parametrize(
@@ -24,4 +24,4 @@ from gcode.dialects import detect_flavor
     ],
 )
 def test_flavor(lines: list[bytes], flavor: str) -> None:
-    assert detect_flavor(lines) == flavor
+    assert flavor_sign(lines).flavor == flavor

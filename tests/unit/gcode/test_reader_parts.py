@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.dialects import detect_flavor
+from gcode.dialects import flavor_sign
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
 from gcode.reader import read_parts, read_program
@@ -73,7 +73,7 @@ def attempt(data: bytes, parts: Iterator[Program] | None = None, **options) -> d
 
 
 def assert_parts_say_the_same(data: bytes, sizes: list[int], part_bytes: int, **options) -> None:
-    flavor = detect_flavor([data])
+    flavor = flavor_sign([data]).flavor
     parts = read_parts(blocks(data, sizes), "p", flavor=flavor, part_bytes=part_bytes, **options)
     assert attempt(data, parts, **options) == attempt(data, **options)
 
@@ -161,7 +161,7 @@ def read_alone(program: Program, first: int, last: int) -> Program:
     """The part's text, read by itself, as the printer's own coordinates."""
     x, y, z, _ = program.moves.start[first]
     text = preamble(program, first) + b"".join(excerpt(program, first, last).lines)
-    return read_program(text, start=(x, y, z), flavor=detect_flavor(program.lines))
+    return read_program(text, start=(x, y, z), flavor=flavor_sign(program.lines).flavor)
 
 
 def assert_same_way(alone: Program, program: Program, first: int, last: int) -> None:
