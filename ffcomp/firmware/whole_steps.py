@@ -48,7 +48,7 @@ RESOLUTION = 2.0  # steps between points that are tried: closer ones differ by l
 FAR = 2.0  # times the steps that a segment must have, beyond which no longer one is tried there
 MOST_KNOTS = 60  # and how long one may last
 BEYOND = 3.0  # steps from the command, at most
-LEAST_KNOTS = 1.0  # that a segment lasts at least, if no line of the file cuts it
+LEAST_KNOTS = 1.0  # that a segment lasts at least, if it ends at no fixed point
 MOST_SHIFT = 0.4  # of the time to the next point: an end becomes due so much earlier or later at most
 SPARE = 0.9  # of the motors' acceleration, because Marlin's times are not quite ours
 REFUSED = 1e6  # mm², what a segment beyond that costs, or one that is dropped
@@ -311,10 +311,9 @@ def _search(
                     continue
                 if found and at[j] - at[p] > longest:
                     break
-                step, ahead, own = steps[j], 0.0, 0.0
+                step, ahead = steps[j], 0.0
                 for i in range(3):
                     ahead = max(ahead, abs(step[i] - last[i]))
-                    own = max(own, abs(step[i] - steps[p, i]))
                 if ahead < minimum - BEYOND and not fixed[j]:
                     continue
                 knots = min(int(np.floor(at[j])) - origin, sight - 1)
@@ -338,7 +337,7 @@ def _search(
                 if not fixed[j]:
                     _seek(square, last, at[j] - last_due, step, penalty, free, wanted)
                 aim, near = step if fixed[j] else wanted, False
-                numbers = 1 if fixed[j] else around if ahead > minimum + BEYOND else blocks * around
+                numbers = 1 if fixed[j] else blocks * around
                 for number in range(numbers):
                     if near and number >= around:
                         break
@@ -362,7 +361,7 @@ def _search(
                         change = most[i] * max(0.5 * (lasting + last_lasted), 1.0)
                         if free[i] and last_lasted > 0.0 and abs(way[i] - last_speed[i]) > change:
                             total += REFUSED
-                    if apart < minimum or (lasting < LEAST_KNOTS and own < minimum):
+                    if apart < minimum:
                         total += REFUSED
                     m = max(int(np.floor(at[j] + shift)) - origin, knots - 1, 0)
                     square = squares[m & 1]
