@@ -27,7 +27,7 @@ from models.printer.kernels.friction import RELAXED
 from models.printer.kernels.integrate import integrate
 from models.printer.kernels.integrate_axes import integrate_axes
 from models.printer.kernels.motors import cubic_spline
-from models.printer.kernels.record import LANES, PrinterParameters, parameter_table
+from models.printer.kernels.record import LANES, PrinterParameters, active_effects, parameter_table
 from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.rest import axes_at_rest, deltas_at_rest
 
@@ -283,11 +283,11 @@ def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[Pri
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
     first, steps = tasks[0].first, printers[0].steps
     cubics = splines.joined(list(commands.values()))
-    where = (np.array(ranges, dtype=np.int64), first, dt_s, steps)
+    how = parameters, active_effects(parameters), cubics, np.array(ranges, dtype=np.int64), first, dt_s, steps
     if len(printers[0].modes):
-        samples = integrate_axes(values, np.array([printer.modes for printer in printers]), parameters, cubics, *where)
+        samples = integrate_axes(values, np.array([printer.modes for printer in printers]), *how)
     else:
-        samples = integrate(values, parameters, cubics, *where)
+        samples = integrate(values, *how)
     lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
     return [_motion(task, lane, end, dt_s) for task, lane, end in lanes]
 

@@ -14,7 +14,7 @@ from models.kinematics.base import Kinematics, rings
 from models.machine import Machine
 from models.printer.kernels.axes import FIRST, SHARE
 from models.printer.kernels.integrate import find_equilibrium
-from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
+from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, active_effects, parameter_table
 from models.printer.parameters import ConvertedPrinter, converted_printer
 
 EQUILIBRIUM_TOLERANCE_M = 1e-9
@@ -58,7 +58,8 @@ def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> lis
     """Settle at most LANES deltas together."""
     states = np.zeros((len(commands), STATES))
     states[:, V : V + 3] = states[:, Q : Q + 3] = commands / 1e3
-    moved = find_equilibrium(states, parameter_table(printers))
+    parameters = parameter_table(printers)
+    moved = find_equilibrium(states, parameters, active_effects(parameters))
     rule = "The printer has no equilibrium with its carriages at {} mm: its motors cannot hold it."
     return [
         state if m < EQUILIBRIUM_TOLERANCE_M else ValueError(rule.format(command))

@@ -34,8 +34,8 @@ from models.arrays import FloatArray
 from models.printer.kernels import record as r
 from models.printer.kernels.friction import guide_force
 from models.printer.kernels.motors import command_at, drive_of_axes, effective_stretch, rippled, torque
-from models.printer.kernels.record import LANES, NO, ONE, ROWS, THREE, TWO, YES, ZERO, ActiveEffects, Row, Vector
-from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, inlined, plus, unrolled, vector
+from models.printer.kernels.record import LANES, NO, ONE, ROWS, TWO, YES, ZERO, ActiveEffects, Row, Vector
+from models.printer.kernels.vectors import at, compiled, dot, inlined, plus, unrolled, vector
 
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
 
@@ -91,17 +91,6 @@ def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
     for row in range(states.shape[1]):
         for a in range(3):
             states[l, row, a] = at(m, _state_row(row) + a, l)
-
-
-@compiled
-def sways(m: FloatArray) -> bool:
-    """Whether a frame sways, a gantry yaws, the mass grows with height, or a mode depends on x, in any lane."""
-    moving = (
-        any_nonzero(m, r.frame_inverse_mass, ONE)
-        or any_nonzero(m, r.yaw_inertia, ONE)
-        or any_nonzero(m, r.growth, THREE)
-    )
-    return moving or any_nonzero(m, r.by_x, THREE) or any_nonzero(m, r.by_x_squared, THREE)
 
 
 @compiled
@@ -236,27 +225,25 @@ def _stiffer(m: FloatArray, n: int, x: float) -> float:
 
 
 @compiled
-def step_lanes(m: FloatArray, h: float, like: PerMode, has: ActiveEffects, springs: bool, swaying: bool) -> None:
+def step_lanes(m: FloatArray, h: float, like: PerMode, has: ActiveEffects) -> None:
     """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
 
-    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts are linear. Unless
-    `swaying`, neither frame nor gantry moves, and modes do not depend on position. `like` has the length of an axis'
-    modes.
+    The motion at the step's beginning is left in MOTION. `like` has the length of an axis' modes.
     """
     odd = has.torque_angle or has.powers
-    if odd and not (swaying or has.guides):
+    if odd and not (has.swaying or has.guides):
         _steps(m, h, like, Terms(YES, NO, NO, NO, YES))
     elif odd:
         _steps(m, h, like, Terms(YES, YES, YES, YES, YES))
-    elif swaying and (springs or has.guides):
+    elif has.swaying and (has.springs or has.guides):
         _steps(m, h, like, Terms(YES, YES, YES, YES, NO))
-    elif swaying:
+    elif has.swaying:
         _steps(m, h, like, Terms(NO, NO, NO, YES, NO))
     elif has.sticking:
         _steps(m, h, like, Terms(YES, YES, YES, NO, NO))
     elif has.guides:
         _steps(m, h, like, Terms(YES, YES, NO, NO, NO))
-    elif springs:
+    elif has.springs:
         _steps(m, h, like, Terms(YES, NO, NO, NO, NO))
     else:
         _steps(m, h, like, Terms(NO, NO, NO, NO, NO))

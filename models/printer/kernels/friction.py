@@ -6,8 +6,8 @@ import math
 
 from models.arrays import FloatArray
 from models.printer.kernels import record as r
-from models.printer.kernels.record import LANES, NO, THREE, YES, ActiveEffects
-from models.printer.kernels.vectors import add, any_nonzero, at, compiled, dot, inlined, power, put, scale, tanh, vector
+from models.printer.kernels.record import LANES, NO, YES, ActiveEffects
+from models.printer.kernels.vectors import add, at, compiled, dot, inlined, power, put, scale, tanh, vector
 
 MOST_STRAIN = 3.0  # φ_m
 RELAXED = 1.6  # largest |q̇|/s₀ x step: there a Runge-Kutta step damps most
@@ -33,12 +33,6 @@ def sliding_level(dry: float, sticking: float, power: float) -> float:
     return dry + sticking * (1.0 - faded) / (1.0 + faded)
 
 
-@compiled
-def guides_rub(m: FloatArray) -> bool:
-    """Whether there is a force on a guide, in any lane."""
-    return any_nonzero(m, r.dry, THREE) or any_nonzero(m, r.sticking, THREE)
-
-
 @inlined
 def guide_force(m: FloatArray, n: int, rate: float, state: float, sticking: bool, powers: bool) -> tuple[float, float]:
     """Return the force of a guide and the rate of its state: how far bristles are bent, or the strain."""
@@ -52,15 +46,6 @@ def guide_force(m: FloatArray, n: int, rate: float, state: float, sticking: bool
     straining = strain_rate(at(m, r.hold, n), ratio, abs(ratio), state)
     bent = bristles > 0.0
     return level * (state if bent else tanh(ratio + state)), bending if bent else straining
-
-
-@compiled
-def has_powers(m: FloatArray) -> bool:
-    """Whether friction near rest fades otherwise than by the square of the speed, in any lane."""
-    uneven = False
-    for n in range(3 * LANES):
-        uneven |= at(m, r.sticking, n) != 0.0 and at(m, r.fading_power, n) != 1.0
-    return uneven
 
 
 @compiled

@@ -7,7 +7,7 @@ import numpy as np
 from models.arrays import FloatArray
 from models.printer.kernels import delta
 from models.printer.kernels import record as r
-from models.printer.kernels.friction import guide_friction, guides_rub, has_powers, joint_friction
+from models.printer.kernels.friction import guide_friction, joint_friction
 from models.printer.kernels.motors import (
     Commands,
     belts,
@@ -18,20 +18,11 @@ from models.printer.kernels.motors import (
     stiffness_by_length,
     torque_angle,
 )
-from models.printer.kernels.record import COUNT, LANES, ONE, PRINTER, ROWS, STATES, THREE, ZERO, ActiveEffects, Rows
-from models.printer.kernels.vectors import any_nonzero, at, compiled
+from models.printer.kernels.record import COUNT, LANES, PRINTER, ROWS, STATES, ZERO, ActiveEffects, Rows
+from models.printer.kernels.vectors import at, compiled
 
 PAGE = 64  # samples are copied by the page: a write at a time would touch too many cache lines
 UNITS = np.array([1e3, 1.0, 1e3, 1.0, 1e3])  # of the samples, in their order
-
-
-@compiled
-def active_effects(m: FloatArray) -> ActiveEffects:
-    """List the effects that are active in any lane."""
-    sticking, guides, joints = any_nonzero(m, r.sticking, THREE), guides_rub(m), any_nonzero(m, r.joint_dry, ONE)
-    torque_angle, ripple = any_nonzero(m, r.inverse_amplitude, THREE), any_nonzero(m, r.ripple, THREE)
-    delay, arms = any_nonzero(m, r.delay, THREE), any_nonzero(m, r.arm_inertia, ONE)
-    return ActiveEffects(sticking, has_powers(m), guides, joints, torque_angle, ripple, delay, arms)
 
 
 @compiled
@@ -136,7 +127,7 @@ def store_state(m: FloatArray, l: int, states: FloatArray) -> None:
 
 @compiled
 def integrate(
-    states: FloatArray, parameters: FloatArray, cubics: FloatArray, ranges: Rows,
+    states: FloatArray, parameters: FloatArray, has: ActiveEffects, cubics: FloatArray, ranges: Rows,
     first: int, dt: float, substeps: int,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate k printers, one in each lane, from row `first` of their commands to the last.
@@ -144,7 +135,7 @@ def integrate(
     Parameters
     ----------
     states : (k, STATES) SI, overwritten by the last ones.
-    parameters : (k, COUNT), from `parameter_table`.
+    parameters, has : (k, COUNT), from `parameter_table`, and `active_effects` of them.
     cubics, ranges : see `Commands`. Of a command's last cubic only the first point is reached.
     first : the row of the commands to begin with.
     dt : s, from row to row.
@@ -157,7 +148,7 @@ def integrate(
     """
     m, rows = fill_lanes(states, parameters), ranges[:, 1] - ranges[:, 0] - first
     elapsed, rows_back = command_times(m, dt, substeps)
-    commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
+    commands = Commands(cubics, ranges, elapsed, rows_back)
     page, samples = np.empty((PAGE, 5, 3 * LANES)), empty_samples(len(states), rows.max())
     for n in range(rows.max()):
         read_command(m, first + n, ZERO, commands, has)
@@ -193,7 +184,7 @@ def _relax(m: FloatArray, l: int) -> float:
 
 
 @compiled
-def find_equilibrium(states: FloatArray, parameters: FloatArray) -> FloatArray:
+def find_equilibrium(states: FloatArray, parameters: FloatArray, has: ActiveEffects) -> FloatArray:
     """Relax belts and extruder, from states : (k, STATES) with the drives at their command, until the forces balance.
 
     Returns
@@ -201,7 +192,6 @@ def find_equilibrium(states: FloatArray, parameters: FloatArray) -> FloatArray:
     (k,) m, the largest displacement of a carriage in the last pass; `states` is overwritten by the equilibria.
     """
     m, moved = fill_lanes(states, parameters), np.full(len(states), np.inf)
-    has = active_effects(m)
     for n in range(3 * LANES):
         m[r.COMMAND * LANES + n] = m[(r.NOW + r.V) * LANES + n]
     cogging(m)

@@ -10,35 +10,31 @@ from models.arrays import FloatArray
 from models.printer.kernels import axes
 from models.printer.kernels import record as r
 from models.printer.kernels.axes import MOTION, MOTORS, WIDTH, PerMode
-from models.printer.kernels.integrate import PAGE, active_effects, copy_page, empty_samples, fill_lanes
-from models.printer.kernels.motors import Commands, command_times, has_springs, read_command
-from models.printer.kernels.record import LANES, ONE, STATES, TWO, ZERO, Rows
+from models.printer.kernels.integrate import PAGE, copy_page, empty_samples, fill_lanes
+from models.printer.kernels.motors import Commands, command_times, read_command
+from models.printer.kernels.record import LANES, ONE, STATES, TWO, ZERO, ActiveEffects, Rows
 from models.printer.kernels.vectors import at, compiled, dot, vector
 
 
-def integrate_axes(
-    states: FloatArray, modes: FloatArray, parameters: FloatArray, *commands_and_steps: Any
-) -> tuple[FloatArray, ...]:
+def integrate_axes(states: FloatArray, modes: FloatArray, *more: Any) -> tuple[FloatArray, ...]:
     """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 7, 3)."""
-    like = (0.0,) * modes.shape[1]
-    samples: tuple[FloatArray, ...] = _integrate(states, modes, like, parameters, *commands_and_steps)
+    samples: tuple[FloatArray, ...] = _integrate(states, modes, (0.0,) * modes.shape[1], *more)
     return samples
 
 
 @compiled
 def _integrate(
-    states: FloatArray, modes: FloatArray, like: PerMode, parameters: FloatArray, cubics: FloatArray, ranges: Rows,
-    first: int, dt: float, substeps: int,
+    states: FloatArray, modes: FloatArray, like: PerMode, parameters: FloatArray, has: ActiveEffects,
+    cubics: FloatArray, ranges: Rows, first: int, dt: float, substeps: int,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate; `like` has the length of an axis' modes."""
     rows, filled = ranges[:, 1] - ranges[:, 0] - first, fill_lanes(np.zeros((len(states), STATES)), parameters)
     m = axes.in_rows(filled, states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
-    commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    h, straight, springs, swaying = dt / substeps, not has.delay, has_springs(m), axes.sways(m)
+    commands, h = Commands(cubics, ranges, elapsed, rows_back), dt / substeps
     page, each = np.empty((PAGE, 5, WIDTH)), empty_samples(len(states), rows.max())
-    samples = each if swaying else (*each[2:4], *each[2:])  # where nothing sways, carriages move as the nozzle does
-    copied = ZERO if swaying else TWO  # the first of the quantities that are not those of another
+    samples = each if has.swaying else (*each[2:4], *each[2:])  # where nothing sways, carriages move as the nozzle does
+    copied = ZERO if has.swaying else TWO  # the first of the quantities that are not those of another
     for n in range(rows.max()):
         for l in range(len(states)):
             if n == rows[l] - 1:
@@ -47,14 +43,14 @@ def _integrate(
         axes.keep_motors(m, ZERO)
         _sample_motors(m, page[n % PAGE])
         for step in range(substeps):
-            if straight:
+            if not has.delay:
                 axes.motors_at(m, ONE, (step + 0.5) * h, has.ripple)
                 axes.motors_at(m, TWO, (step + 1) * h, has.ripple)
             else:
                 for ahead in range(1, 3):
                     read_command(m, first + n, 2 * step + ahead, commands, has)
                     axes.keep_motors(m, ahead)
-            axes.step_lanes(m, h, like, has, springs, swaying)
+            axes.step_lanes(m, h, like, has)
             if step == 0:
                 _sample_motion(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:

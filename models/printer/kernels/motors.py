@@ -8,8 +8,8 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels import record as r
-from models.printer.kernels.record import LANES, THREE, ActiveEffects, Rows
-from models.printer.kernels.vectors import any_nonzero, at, compiled, inlined, sine_cosine
+from models.printer.kernels.record import LANES, ActiveEffects, Rows
+from models.printer.kernels.vectors import at, compiled, inlined, sine_cosine
 
 
 @compiled
@@ -228,15 +228,6 @@ def drive_of_axes(
     force = belt_force(k, 0.0, spring, stretch, slip, at(m, r.landing, n), cubic, quintic)
     slack = abs(motor - q) < at(m, r.half_backlash, n)
     return q + (0.0 if slack else force), 0.0 if slack else slip
-
-
-@compiled
-def has_springs(m: FloatArray) -> bool:
-    """Whether any belt of straight axes has play, or pulls other than in proportion to its stretch."""
-    springs = (
-        any_nonzero(m, r.half_backlash, THREE) or any_nonzero(m, r.landing, THREE) or any_nonzero(m, r.slope, THREE)
-    )
-    return springs or any_nonzero(m, r.cubic, THREE) or any_nonzero(m, r.quintic, THREE)
 
 
 @compiled

@@ -144,3 +144,26 @@ class ActiveEffects(NamedTuple):
     ripple: bool
     delay: bool
     arms: bool
+    springs: bool  # a belt of straight axes has play, or pulls other than in proportion to its stretch
+    swaying: bool  # a frame or a gantry moves, the mass grows with height, or a mode depends on x
+
+
+def active_effects(parameters: FloatArray) -> ActiveEffects:
+    """Return the effects that are active in any of these printers : (k, COUNT)."""
+    p = parameters.view(PARAMETERS)
+
+    def has(*names: str) -> bool:
+        return any(bool(p[name].any()) for name in names)
+
+    return ActiveEffects(
+        sticking=has("sticking"),
+        powers=bool(np.any((p["sticking"] != 0.0) & (p["fading_power"] != 1.0))),
+        guides=has("dry", "sticking"),
+        joints=has("joint_dry"),
+        torque_angle=has("inverse_amplitude"),
+        ripple=has("ripple"),
+        delay=has("delay"),
+        arms=has("arm_inertia"),
+        springs=has("half_backlash", "landing", "slope", "cubic", "quintic"),
+        swaying=has("frame_inverse_mass", "yaw_inertia", "growth", "by_x", "by_x_squared"),
+    )

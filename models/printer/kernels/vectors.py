@@ -71,15 +71,6 @@ def at(m: FloatArray, row: Row, l: int) -> float:
     return m[row * LANES + l]
 
 
-@compiled
-def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
-    """Whether any of these rows is nonzero in any lane."""
-    nonzero = False
-    for n in range(row * LANES, (row + rows) * LANES):
-        nonzero |= m[n] != 0.0
-    return nonzero
-
-
 @inlined
 def vector(m: FloatArray, row: Row, l: int) -> Vector:
     """Return three rows of lane l."""
