@@ -22,12 +22,12 @@ from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
 from models.machine import Machine
-from models.printer.kernels.axes import BELT_DAMPING, FREQUENCY2, SHARE
+from models.printer.kernels.axes import BELT_DAMPING, FREQUENCY2, SHARE, lanes_of_axes
 from models.printer.kernels.friction import RELAXED
 from models.printer.kernels.integrate import integrate
 from models.printer.kernels.integrate_axes import integrate_axes
 from models.printer.kernels.motors import cubic_spline
-from models.printer.kernels.record import LANES, PrinterParameters, active_effects, parameter_table
+from models.printer.kernels.record import LANES, PrinterParameters, active_effects, lanes, parameter_table
 from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.rest import axes_at_rest, deltas_at_rest
 
@@ -283,13 +283,15 @@ def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[Pri
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
     first, steps = tasks[0].first, printers[0].steps
     cubics = splines.joined(list(commands.values()))
-    how = parameters, active_effects(parameters), cubics, np.array(ranges, dtype=np.int64), first, dt_s, steps
+    how = active_effects(parameters), cubics, np.array(ranges, dtype=np.int64), first, dt_s, steps
     if len(printers[0].modes):
-        samples = integrate_axes(values, np.array([printer.modes for printer in printers]), *how)
+        modes = np.array([printer.modes for printer in printers])
+        m = lanes_of_axes(values, modes, parameters).ravel()
+        samples = integrate_axes(m, values, (0.0,) * modes.shape[1], *how)
     else:
-        samples = integrate(values, *how)
-    lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
-    return [_motion(task, lane, end, dt_s) for task, lane, end in lanes]
+        samples = integrate(lanes(values, parameters).ravel(), values, *how)
+    each = zip(tasks, zip(*samples, strict=True), values, strict=True)
+    return [_motion(task, lane, end, dt_s) for task, lane, end in each]
 
 
 def longest_step(p: PrinterParameters, modes: FloatArray) -> float:

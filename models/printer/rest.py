@@ -14,7 +14,7 @@ from models.kinematics.base import Kinematics, rings
 from models.machine import Machine
 from models.printer.kernels.axes import FIRST, SHARE
 from models.printer.kernels.integrate import find_equilibrium
-from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, active_effects, parameter_table
+from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, active_effects, lanes, parameter_table
 from models.printer.parameters import ConvertedPrinter, converted_printer
 
 EQUILIBRIUM_TOLERANCE_M = 1e-9
@@ -38,8 +38,8 @@ def deltas_at_rest(
         states |= zip(members, _joined(shared, commands[members]), strict=True)
     joined = [i for i, error in states.items() if not isinstance(error, ValueError)]
     for first in range(0, len(joined), LANES):
-        lanes = joined[first : first + LANES]
-        states |= zip(lanes, _settled(commands[lanes], [printers[i] for i in lanes]), strict=True)
+        together = joined[first : first + LANES]
+        states |= zip(together, _settled(commands[together], [printers[i] for i in together]), strict=True)
     return [states[i] for i in range(len(kinematics))]
 
 
@@ -59,7 +59,7 @@ def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> lis
     states = np.zeros((len(commands), STATES))
     states[:, V : V + 3] = states[:, Q : Q + 3] = commands / 1e3
     parameters = parameter_table(printers)
-    moved = find_equilibrium(states, parameters, active_effects(parameters))
+    moved = find_equilibrium(lanes(states, parameters).ravel(), states, active_effects(parameters))
     rule = "The printer has no equilibrium with its carriages at {} mm: its motors cannot hold it."
     return [
         state if m < EQUILIBRIUM_TOLERANCE_M else ValueError(rule.format(command))

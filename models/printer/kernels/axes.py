@@ -34,7 +34,7 @@ from models.arrays import FloatArray
 from models.printer.kernels import record as r
 from models.printer.kernels.friction import guide_force
 from models.printer.kernels.motors import command_at, drive_of_axes, effective_stretch, rippled, torque
-from models.printer.kernels.record import LANES, NO, ONE, ROWS, TWO, YES, ZERO, ActiveEffects, Row, Vector
+from models.printer.kernels.record import LANES, NO, ONE, ROWS, STATES, TWO, YES, ZERO, ActiveEffects, Row, Vector
 from models.printer.kernels.vectors import at, compiled, dot, inlined, plus, unrolled, vector
 
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
@@ -58,26 +58,17 @@ EACH = np.int64(3 * FIELDS + 6)  # rows of a mode
 WIDTH = 3 * LANES
 
 
-@compiled
-def in_rows(m: FloatArray, states: FloatArray, modes: FloatArray) -> FloatArray:
-    """Return m with the rows of this file: k printers' states (k, rows, 3) and modes (k, n, 7, 3).
-
-    Idle lanes repeat the last printer. A mode of zeros stays at rest.
-    """
-    rows = np.zeros((MODES + EACH * modes.shape[1]) * LANES)
-    for n in range(len(m)):
-        rows[n] = m[n]
-    for n in range(WIDTH):
-        rows[COMPLIANCE * LANES + n] = 1.0 / at(m, r.belt_k, n)
-    for l in range(LANES):
-        source = min(l, len(states) - 1)
-        for a in range(3):
-            for row in range(states.shape[1]):
-                rows[(_state_row(row) + a) * LANES + l] = states[source, row, a]
-            for i in range(modes.shape[1]):
-                for field in range(FIELDS):
-                    rows[(MODES + EACH * i + 3 * field + a) * LANES + l] = modes[source, i, field, a]
-    return rows
+def lanes_of_axes(states: FloatArray, modes: FloatArray, parameters: FloatArray) -> FloatArray:
+    """Return m, as (rows, LANES), of k printers with states (k, rows, 3) and modes (k, n, 7, 3); see `record.lanes`."""
+    m = r.lanes(np.zeros((len(states), STATES)), parameters, int(MODES + EACH * modes.shape[1]))
+    m[COMPLIANCE:MODES] = 1.0 / m[r.belt_k : r.belt_k + 3]
+    each = np.minimum(np.arange(LANES), len(states) - 1)
+    for row in range(states.shape[1]):
+        m[_state_row(row) : _state_row(row) + 3] = states[each, row].T
+    for i in range(modes.shape[1]):
+        begin = MODES + EACH * i
+        m[begin : begin + 3 * FIELDS] = modes[each, i].reshape(LANES, -1).T
+    return m
 
 
 @inlined

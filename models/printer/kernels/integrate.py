@@ -18,7 +18,7 @@ from models.printer.kernels.motors import (
     stiffness_by_length,
     torque_angle,
 )
-from models.printer.kernels.record import COUNT, LANES, PRINTER, ROWS, STATES, ZERO, ActiveEffects, Rows
+from models.printer.kernels.record import LANES, STATES, ZERO, ActiveEffects, Rows
 from models.printer.kernels.vectors import at, compiled
 
 PAGE = 64  # samples are copied by the page: a write at a time would touch too many cache lines
@@ -42,20 +42,6 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
         delta.mass_along_arms(m)
     delta.solve_carriages(m)
     delta.effector_and_frame(m)
-
-
-@compiled
-def fill_lanes(states: FloatArray, parameters: FloatArray) -> FloatArray:
-    """Return m with these printers : (k, STATES) and (k, COUNT) in its first lanes. Idle lanes repeat the last one."""
-    m = np.zeros(ROWS * LANES)
-    for l in range(LANES):
-        source = min(l, len(states) - 1)
-        for n in range(STATES):
-            m[(r.BASE + n) * LANES + l] = states[source, n]
-            m[(r.NOW + n) * LANES + l] = states[source, n]
-        for n in range(COUNT):
-            m[(PRINTER + n) * LANES + l] = parameters[source, n]
-    return m
 
 
 @compiled
@@ -127,15 +113,15 @@ def store_state(m: FloatArray, l: int, states: FloatArray) -> None:
 
 @compiled
 def integrate(
-    states: FloatArray, parameters: FloatArray, has: ActiveEffects, cubics: FloatArray, ranges: Rows,
+    m: FloatArray, states: FloatArray, has: ActiveEffects, cubics: FloatArray, ranges: Rows,
     first: int, dt: float, substeps: int,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
     """Integrate k printers, one in each lane, from row `first` of their commands to the last.
 
     Parameters
     ----------
+    m, has : of the printers, from `lanes` and `active_effects`.
     states : (k, STATES) SI, overwritten by the last ones.
-    parameters, has : (k, COUNT), from `parameter_table`, and `active_effects` of them.
     cubics, ranges : see `Commands`. Of a command's last cubic only the first point is reached.
     first : the row of the commands to begin with.
     dt : s, from row to row.
@@ -146,7 +132,7 @@ def integrate(
     Five of (k, rows of the longest, 3): carriages' and nozzle's position and acceleration, and the motors' position,
     mm and m/s², at each row's beginning. Values after a command's last row are meaningless.
     """
-    m, rows = fill_lanes(states, parameters), ranges[:, 1] - ranges[:, 0] - first
+    rows = ranges[:, 1] - ranges[:, 0] - first
     elapsed, rows_back = command_times(m, dt, substeps)
     commands = Commands(cubics, ranges, elapsed, rows_back)
     page, samples = np.empty((PAGE, 5, 3 * LANES)), empty_samples(len(states), rows.max())
@@ -184,14 +170,14 @@ def _relax(m: FloatArray, l: int) -> float:
 
 
 @compiled
-def find_equilibrium(states: FloatArray, parameters: FloatArray, has: ActiveEffects) -> FloatArray:
-    """Relax belts and extruder, from states : (k, STATES) with the drives at their command, until the forces balance.
+def find_equilibrium(m: FloatArray, states: FloatArray, has: ActiveEffects) -> FloatArray:
+    """Relax belts and extruder, from `lanes` with the drives at their command, until the forces balance.
 
     Returns
     -------
-    (k,) m, the largest displacement of a carriage in the last pass; `states` is overwritten by the equilibria.
+    (k,) m, the largest displacement of a carriage in the last pass; states : (k, STATES) are then the equilibria.
     """
-    m, moved = fill_lanes(states, parameters), np.full(len(states), np.inf)
+    moved = np.full(len(states), np.inf)
     for n in range(3 * LANES):
         m[r.COMMAND * LANES + n] = m[(r.NOW + r.V) * LANES + n]
     cogging(m)

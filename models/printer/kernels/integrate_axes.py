@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels import axes
 from models.printer.kernels import record as r
 from models.printer.kernels.axes import MOTION, MOTORS, WIDTH, PerMode
-from models.printer.kernels.integrate import PAGE, copy_page, empty_samples, fill_lanes
+from models.printer.kernels.integrate import PAGE, copy_page, empty_samples
 from models.printer.kernels.motors import Commands, command_times, read_command
-from models.printer.kernels.record import LANES, ONE, STATES, TWO, ZERO, ActiveEffects, Rows
+from models.printer.kernels.record import LANES, ONE, TWO, ZERO, ActiveEffects, Rows
 from models.printer.kernels.vectors import at, compiled, dot, vector
 
 
-def integrate_axes(states: FloatArray, modes: FloatArray, *more: Any) -> tuple[FloatArray, ...]:
-    """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 7, 3)."""
-    samples: tuple[FloatArray, ...] = _integrate(states, modes, (0.0,) * modes.shape[1], *more)
-    return samples
-
-
 @compiled
-def _integrate(
-    states: FloatArray, modes: FloatArray, like: PerMode, parameters: FloatArray, has: ActiveEffects,
-    cubics: FloatArray, ranges: Rows, first: int, dt: float, substeps: int,
+def integrate_axes(
+    m: FloatArray, states: FloatArray, like: PerMode, has: ActiveEffects, cubics: FloatArray, ranges: Rows,
+    first: int, dt: float, substeps: int,
 ) -> tuple[FloatArray, ...]:  # fmt: skip
-    """Integrate; `like` has the length of an axis' modes."""
-    rows, filled = ranges[:, 1] - ranges[:, 0] - first, fill_lanes(np.zeros((len(states), STATES)), parameters)
-    m = axes.in_rows(filled, states, modes)
+    """Integrate k printers as `integrate` does, from `lanes_of_axes`, with states (k, rows, 3).
+
+    like : a number for each mode of an axis
+    """
+    rows = ranges[:, 1] - ranges[:, 0] - first
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, h = Commands(cubics, ranges, elapsed, rows_back), dt / substeps
     page, each = np.empty((PAGE, 5, WIDTH)), empty_samples(len(states), rows.max())

@@ -148,6 +148,14 @@ class ActiveEffects(NamedTuple):
     swaying: bool  # a frame or a gantry moves, the mass grows with height, or a mode depends on x
 
 
+def lanes(states: FloatArray, parameters: FloatArray, rows: int = ROWS) -> FloatArray:
+    """Return m, as (rows, LANES), with these printers : (k, STATES) and (k, COUNT). Idle lanes repeat the last one."""
+    m, each = np.zeros((rows, LANES)), np.minimum(np.arange(LANES), len(parameters) - 1)
+    m[BASE : BASE + STATES] = m[NOW : NOW + STATES] = states[each].T
+    m[PRINTER:ROWS] = parameters[each].T
+    return m
+
+
 def active_effects(parameters: FloatArray) -> ActiveEffects:
     """Return the effects that are active in any of these printers : (k, COUNT)."""
     p = parameters.view(PARAMETERS)
