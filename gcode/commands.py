@@ -17,7 +17,7 @@ from gcode.dialect import KLIPPER, MARLIN, REPRAPFIRMWARE
 from gcode.dialects import limit_unit
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.program import MACHINE_LIMITS, EventKind, LimitCommand, RawMove
-from gcode.state import AXES, INCH_MM, Modal
+from gcode.state import AXES, FIRST_AXES, INCH_MM, Modal
 from gcode.words import Command
 
 
@@ -157,7 +157,7 @@ def _mode(modal: Modal, command: Command) -> Effect:
             if modal.pushed:
                 modal.absolute, modal.absolute_e, modal.feed, modal.unit = modal.pushed.pop()
         case _:
-            modal.plane = {"G17": "XY", "G18": modal.dialect.g18_axes, "G19": "YZ"}[command.name]
+            modal.plane = FIRST_AXES[{"G17": "XY", "G18": modal.dialect.g18_axes, "G19": "YZ"}[command.name]]
     return PASS
 
 

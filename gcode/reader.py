@@ -374,7 +374,7 @@ class _Reader:
     def _arc(self, motion: str, words: dict[str, float], start: Vector4, end: Vector4, at: int) -> Arc:
         """Return the circle in the active plane."""
         modal = self.modal
-        u, v, _ = modal.arc_axes()
+        u, v, _ = modal.plane
         here, there = (start[u], start[v]), (end[u], end[v])
         if "R" in words:
             return arc_by_radius(here, there, words["R"] * modal.unit, motion == "G2", self._number(at))
@@ -383,7 +383,7 @@ class _Reader:
 
     def _chords(self, at: int, start: Vector4, end: Vector4, arc: Arc) -> None:
         """Add an arc's chords; height and filament are spread evenly because all are equally long."""
-        u, v, normal = self.modal.arc_axes()
+        u, v, normal = self.modal.plane
         length = hypot(arc.sweep * arc.radii[0], end[normal] - start[normal])
         chords = arc.chords(multiple_of=self.arc_chords(self.modal.dialect.name, length, abs(arc.sweep)))
         points = np.empty((len(chords), 4))

@@ -50,7 +50,7 @@ class Modal:
     kept_feed_factor: float = 1.0  # M220 B
     feed: float = DEFAULT_FEED_MM_PER_S  # mm/s, feed factor included
     feed_known: bool = False
-    plane: str = "XY"
+    plane: tuple[int, int, int] = FIRST_AXES["XY"]  # the two axes of an arc's plane, then its normal
     motion: str = ""  # the last of G0 G1 G2 G3, which a line of bare words repeats
     tool: str = ""
     filament: str = ""  # the last tool that has one
@@ -184,10 +184,6 @@ class Modal:
         self.base[3] += self.position[3] - saved["position"][3]
         if any(map(isnan, self.base)):  # saved after G92 had named an unknown position
             self.position = [nan if isnan(b) else p for p, b in zip(self.position, self.base, strict=True)]
-
-    def arc_axes(self) -> tuple[int, int, int]:
-        """Return the two axes of the arc's plane, then its normal."""
-        return FIRST_AXES[self.plane]
 
     def set_limits(self, **changes: float) -> None:
         """Set the limits that the file requests; `caps` still bound them."""

@@ -24,6 +24,7 @@ from models.machine import Machine, value_of, with_values
 from models.printer.one_axis import axis_effects
 
 BOTH = 9.0  # in place of an angle: alike in x and y
+USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
 PROBE = 0.1  # of a usual size: the signature of an axis' effect is taken there
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
@@ -357,7 +358,7 @@ def _numbers_of(p: EffectParameter, signals: Sequence[str]) -> list[int]:
 def _axis_amplitude(effect: Effect, p: EffectParameter, scales: MotionScales, line: int = 0) -> Parameter:
     suffix = f"[{line}]" if p.size == "vector3" else ""
     low, high = p.bounds
-    size = p.usual(scales) if p.usual is not None else 0.0
+    size = USUAL_SHARE * p.usual(scales) if p.usual is not None else 0.0
     return Parameter(_full(effect, p, line) + suffix, 0.0, size, low if p.lowest is None else p.lowest, high)
 
 

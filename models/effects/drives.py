@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import AT_DRIVE, EACH, USUAL_SHARE, Effect, Terms, Values, amplitude, shape
+from models.effects.effect import AT_DRIVE, EACH, Effect, Terms, Values, amplitude, shape
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
@@ -30,9 +30,7 @@ BELT_STIFFNESS = _drive(
     physics="Tension, wear and temperature change a belt's stiffness.",
     equation="k → k (1 + r)",
     parameters=(
-        amplitude(
-            "relative_change", "r, of belt stiffness", (-0.9, 10), (-0.3, 0.3), 0.02, EACH, usual=lambda s: USUAL_SHARE
-        ),
+        amplitude("relative_change", "r, of belt stiffness", (-0.9, 10), (-0.3, 0.3), 0.02, EACH, usual=lambda s: 1.0),
     ),
     in_data="Resonances shift together; with one tower's belt, only the modes of that tower.",
     confounded_with={
@@ -69,7 +67,7 @@ BELT_DAMPING = _drive(
             (0, 0.6),
             0.1,
             EACH,
-            usual=lambda s: USUAL_SHARE,
+            usual=lambda s: 1.0,
         ),
     ),
     in_data="Nearly as if all channels were early by 2 ζ s/ω, mostly near the resonance and above.",
@@ -132,7 +130,7 @@ BELT_HARDENING = _drive(
             1e11,
             EACH,
             on_printers=(0.0, 1e15),  # softening of the same third order is a motor's sine there
-            usual=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2,
+            usual=lambda s: max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2,
         ),
         shape("quintic_n_per_m5", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, EACH, default=0.0),
     ),
@@ -174,7 +172,7 @@ BELT_BACKLASH = _drive(
             0.02,
             EACH,
             on_printers=(0, 5),
-            usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m,
+            usual=lambda s: 1e3 * s.stretch_m,
         ),
         shape(
             "landing_s_per_m",
@@ -249,9 +247,7 @@ COGGING = _drive(
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
-        amplitude(
-            "amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, EACH, usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m
-        ),
+        amplitude("amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, EACH, usual=lambda s: 1e3 * s.stretch_m),
         shape(
             "pitch_mm",
             "p: period of the ripple, usually one or four full steps",
@@ -300,9 +296,7 @@ COMMAND_DELAY = _drive(
     physics="Electronics, filters and step pulses take time, so the motor executes the command late.",
     equation="u_d(t) → u_d(t − τ)",
     parameters=(
-        amplitude(
-            "delay_s", "τ", (0, 0.1), (1e-4, 5e-3), 1e-4, EACH, unit="s", usual=lambda s: USUAL_SHARE / s.highest_hz
-        ),
+        amplitude("delay_s", "τ", (0, 0.1), (1e-4, 5e-3), 1e-4, EACH, unit="s", usual=lambda s: 1 / s.highest_hz),
     ),
     in_data="The whole response shifts in time; the phase falls in proportion to frequency.",
     confounded_with={

@@ -26,7 +26,6 @@ DIRECTIONS: Mapping[str, tuple[tuple[float, float], ...]] = {
 }
 PER_KILOGRAM = "_per_kg"  # suffix of a key for a force per moving kilogram
 UNIT_TOLERANCE = 1e-3  # a unit vector written with four digits is one
-USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
 
 Values = Mapping[str, FloatArray]  # an effect's parameters as in a machine file
 Terms = Mapping[str, Any]  # numbers of the printers' equations by name, SI: `models/printer/kernels/record.py`
@@ -67,7 +66,7 @@ class EffectParameter:
     starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
     # where a diagnosis looks for it on an axis by itself, which may be of any size
-    usual: Callable[[MotionScales], float] | None = None  # size of a usual effect; None: not on an axis
+    usual: Callable[[MotionScales], float] | None = None  # size that rivals the axis' own forces; None: not on an axis
     tried: Callable[[MotionScales], Sequence[float]] | None = None  # starts of the search for a shape
     lowest: float | None = None  # in place of the lower one of `bounds`
     signals: tuple[str, ...] = ("acc_q",)  # one for each number of a vector

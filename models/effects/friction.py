@@ -9,7 +9,6 @@ import numpy as np
 
 from models.effects.effect import (
     EACH,
-    USUAL_SHARE,
     Effect,
     EffectParameter,
     Size,
@@ -58,7 +57,7 @@ GUIDE_DAMPING = Effect(
             1.0,
             EACH,
             on_printers=(-1000, 10000),
-            usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s,
+            usual=lambda s: s.force_n / s.speed_m_per_s,
         ),
     ),
     in_data="Lower, broader resonances, and a lag proportional to speed.",
@@ -110,7 +109,7 @@ COULOMB_FRICTION = Effect(
             0.5,
             EACH,
             on_printers=OF_PRINTERS,
-            usual=lambda s: USUAL_SHARE * s.force_n,
+            usual=lambda s: s.force_n,
         ),
         *reversal_parameters(EACH),
     ),
@@ -144,7 +143,7 @@ STRIBECK_FRICTION = Effect(
             0.5,
             EACH,
             on_printers=OF_PRINTERS,
-            usual=lambda s: USUAL_SHARE * s.force_n,
+            usual=lambda s: s.force_n,
         ),
         amplitude(
             "extra_force_n",
@@ -154,7 +153,7 @@ STRIBECK_FRICTION = Effect(
             0.5,
             EACH,
             on_printers=OF_PRINTERS,
-            usual=lambda s: USUAL_SHARE * s.force_n / 2,
+            usual=lambda s: s.force_n / 2,
         ),
         shape(
             "velocity_mm_per_s",
@@ -190,7 +189,7 @@ BRISTLE_FRICTION = Effect(
     physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
-        amplitude("force_n", "F_C: once it slides", FORCES, (0.5, 10), 0.5, usual=lambda s: USUAL_SHARE * s.force_n),
+        amplitude("force_n", "F_C: once it slides", FORCES, (0.5, 10), 0.5, usual=lambda s: s.force_n),
         shape(
             "presliding_mm",
             "s₀: presliding distance",
@@ -243,7 +242,7 @@ FRICTION_BY_DIRECTION = Effect(
             (-1e5, 1e5),
             (-50, 50),
             2.0,
-            usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s,
+            usual=lambda s: s.force_n / s.speed_m_per_s,
         ),
     ),
     in_data="The two directions need different forces at the same speed; the difference grows with speed.",
@@ -270,7 +269,7 @@ FRICTION_BY_LOAD = Effect(
     physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
     equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
     parameters=(
-        amplitude("share", "μ: of the drive's force", (0, 0.99), (0.02, 0.4), 0.05, usual=lambda s: USUAL_SHARE),
+        amplitude("share", "μ: of the drive's force", (0, 0.99), (0.02, 0.4), 0.05, usual=lambda s: 1.0),
         shape(
             "held_share", "ν: additional part from the pull of gravity and springs", (0, 10), (0, 1), 0.1, default=0.0
         ),
@@ -301,7 +300,7 @@ QUADRATIC_DRAG = Effect(
             (-100, 1000),
             20.0,
             # negative drag would absorb a damping that falls with speed
-            usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s**2,
+            usual=lambda s: s.force_n / s.speed_m_per_s**2,
             lowest=0.0,
         ),
     ),

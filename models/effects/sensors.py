@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import EACH, USUAL_SHARE, Effect, Signals, Values, amplitude, resampled, shape
+from models.effects.effect import EACH, Effect, Signals, Values, amplitude, resampled, shape
 
 JOIN = "Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join)."
 
@@ -25,7 +25,7 @@ SENSOR_GAIN = Effect(
     parameters=(
         amplitude("carriage_relative_change", "g of A, B, C", (-0.9, 9), (-0.1, 0.1), 0.02, EACH),
         amplitude(
-            "nozzle_relative_change", "g of x, y, z", (-0.9, 9), (-0.1, 0.1), 0.02, "vector3", usual=lambda s: 0.1
+            "nozzle_relative_change", "g of x, y, z", (-0.9, 9), (-0.1, 0.1), 0.02, "vector3", usual=lambda s: 1 / 3
         ),
     ),
     in_data="One channel off by the same factor at all frequencies and positions.",
@@ -135,7 +135,7 @@ SENSOR_LAG = Effect(
             1e-4,
             "vector3",
             unit="s",
-            usual=lambda s: USUAL_SHARE / s.highest_hz,
+            usual=lambda s: 1 / s.highest_hz,
             signals=("pos_q", "pos_motor", "acc_q"),
         ),
         shape("damping_ratio", "ζ; 0: of first order", (0, 10), (0, 1), 0.1, default=0.0, starts=(0.7,)),

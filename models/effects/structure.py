@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.effects.effect import EACH, USUAL_SHARE, Effect, MotionScales, Terms, Values, amplitude, shape
+from models.effects.effect import EACH, Effect, MotionScales, Terms, Values, amplitude, shape
 
 
 def _frame_terms(values: Values, printer: Terms) -> Terms:
@@ -176,11 +176,7 @@ GROUND_SPRING = Effect(
     law_of="a pull towards one place",
     physics="Hoses, cables, a bellows or gravity on a curved guide pull harder the farther the axis moves.",
     equation="F = k q",
-    parameters=(
-        amplitude(
-            "stiffness_n_per_m", "k", (0, 1e9), (10, 1000), 5.0, usual=lambda s: USUAL_SHARE * s.force_n / s.way_m
-        ),
-    ),
+    parameters=(amplitude("stiffness_n_per_m", "k", (0, 1e9), (10, 1000), 5.0, usual=lambda s: s.force_n / s.way_m),),
     in_data="The force at rest grows along the axis.",
     confounded_with={"cogging_force": "The whole travel: a ripple repeats, a spring does not."},
     of=("axis",),
@@ -204,7 +200,7 @@ PENDULUM_GRAVITY = Effect(
             (-1e6, 1e6),
             (-10, 10),
             0.1,
-            usual=lambda s: USUAL_SHARE * s.force_n / min(s.way_m, 1.0),
+            usual=lambda s: s.force_n / min(s.way_m, 1.0),
         ),
         shape("angle_deg", "q₀: angle where it hangs down", (-360, 360), (-180, 180), 5.0, default=0.0),
     ),
@@ -237,8 +233,8 @@ COGGING_FORCE = Effect(
     ),
     equation="F = Σ s sin(2π q/p) + c cos(2π q/p)",
     parameters=(
-        amplitude("sine_n", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", usual=lambda s: USUAL_SHARE * s.force_n / 3),
-        amplitude("cosine_n", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", usual=lambda s: USUAL_SHARE * s.force_n / 3),
+        amplitude("sine_n", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", usual=lambda s: s.force_n / 3),
+        amplitude("cosine_n", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", usual=lambda s: s.force_n / 3),
         shape(
             "pitch_mm", "p; 2π/N rad for N lines a turn", (0.01, 10_000), (1, 50), 0.5, "lines", tried=_force_pitches
         ),
