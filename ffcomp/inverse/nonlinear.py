@@ -51,7 +51,7 @@ from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
 from models.printer.kernels.record import PrinterParameters
-from models.printer.parameters import printer_parameters
+from models.printer.parameters import converted_printer
 from models.printer.playback import Observe, simulate_batch
 from models.printer.printer import PrinterMotion
 from models.printer.rest import static_deflection
@@ -95,9 +95,9 @@ class FrictionBacklash:
 
     def __init__(self, model: InverseModel, printer: Machine) -> None:
         s = model.settings
-        self._model, self._numbers, self._row_s = model, printer_parameters(printer), s.segment_s / s.substeps
-        undriven = model.machine.vibration.undriven()
-        table = plant_table(model.machine.kinematics, undriven, self._row_s)
+        self._model, self._row_s = model, s.segment_s / s.substeps
+        self._numbers = converted_printer(printer).parameters
+        table = plant_table(model.machine.kinematics, model.machine.vibration.undriven(), self._row_s)
         self._belts = Schedule(model.machine.kinematics, table)
 
     @property

@@ -17,8 +17,16 @@ KNOWN = frozenset(PARAMETERS.names or ())
 NEUTRAL = {"peak_stretch": np.inf, "creep": np.ones(3), "joint_creep": 1.0}  # of absent effects, where not zero
 
 
-def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterParameters:
-    """Convert the machine and its effects to the kernels' record, SI; ValueError for an incomplete effect."""
+class ConvertedPrinter(NamedTuple):
+    """A machine with its effects, in the kernels' form, SI."""
+
+    parameters: PrinterParameters
+    modes: FloatArray  # (n, 7, 3), of `VibrationModel.printer_modes`
+    kinematics: Kinematics  # with the effects on it
+
+
+def converted_printer(machine: Machine, *, gravity: bool = True) -> ConvertedPrinter:
+    """Convert a machine with its effects; ValueError for an incomplete effect."""
     effective = effective_machine(machine)
     model = effective.vibration.printer_parameters(GRAVITY_M_PER_S2 if gravity else 0.0)
     geometry = effective.kinematics.printer_parameters()
@@ -27,20 +35,5 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
     record = np.zeros(1, dtype=PARAMETERS)
     for name in terms.keys() & KNOWN:
         record[name][0] = terms[name]
-    return record.view(np.recarray)[0]
-
-
-class ConvertedPrinter(NamedTuple):
-    """A machine with its effects, in the kernels' form."""
-
-    parameters: PrinterParameters
-    modes: FloatArray  # (n, 7, 3)
-    kinematics: Kinematics  # with the effects on it
-
-
-def converted_printer(machine: Machine, *, gravity: bool = True) -> ConvertedPrinter:
-    """Convert a machine: see `printer_parameters` and `VibrationModel.printer_modes`."""
-    effective = effective_machine(machine)
-    return ConvertedPrinter(
-        printer_parameters(effective, gravity=gravity), effective.vibration.printer_modes(), effective.kinematics
-    )
+    parameters = record.view(np.recarray)[0]
+    return ConvertedPrinter(parameters, effective.vibration.printer_modes(), effective.kinematics)

@@ -260,14 +260,11 @@ def _settled(tasks: Mapping[int, _Task]) -> dict[int, FloatArray | ValueError]:
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
     """Group tasks for the lanes: of as many modes, alike motors, steps and first row, and of about one length."""
-    matrices: dict[int, bytes] = {}  # by the record, which several tasks share: reading a field of it takes long
 
     def kind(i: int) -> tuple[int, bytes, int, int]:
         printer = tasks[i].printer
-        p = printer.parameters
-        if id(p) not in matrices:
-            matrices[id(p)] = p.motor_matrix.tobytes()
-        return len(printer.modes), matrices[id(p)], printer.steps, tasks[i].first
+        motors = b"" if printer.motors is None else printer.motors.tobytes()
+        return len(printer.modes), motors, printer.steps, tasks[i].first
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].cubics))), kind):
         names = list(group)

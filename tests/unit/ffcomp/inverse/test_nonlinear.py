@@ -26,7 +26,7 @@ from models.file import load_machine
 from models.kinds import delta_vibration
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
-from models.printer.parameters import printer_parameters
+from models.printer.parameters import converted_printer
 from models.printer.printer import simulate_printer
 from tests.support.prints import squares
 
@@ -109,7 +109,7 @@ ROW_S = 1e-3
 
 
 def friction(machine: Machine, q_mm: FloatArray) -> FloatArray:
-    return guide_friction(printer_parameters(machine), q_mm / 1e3, ROW_S)
+    return guide_friction(converted_printer(machine).parameters, q_mm / 1e3, ROW_S)
 
 
 def along(speed_mm_per_s: float, seconds: float = 1.0) -> FloatArray:
