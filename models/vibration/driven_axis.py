@@ -65,10 +65,6 @@ class Drive:
         """Return k_t²/R, the motor's own damping, N s/m."""
         return 0.0 if self.resistance_ohm is None else self.force_per_volt * (self.force_constant_n_per_a or 0.0)
 
-    def stiffer(self, factor: float) -> Drive:
-        """Return the drive with a servo law stiffer by this factor."""
-        return replace(self, gain_v_per_m=factor * self.gain_v_per_m)
-
 
 @dataclass(frozen=True)
 class DrivenAxis(VibrationModel):
@@ -198,7 +194,8 @@ class DrivenAxis(VibrationModel):
 
     def with_drive(self, factor: float) -> DrivenAxis:
         """Return the axis with a drive, or a spring to the ground, so many times as stiff."""
-        return replace(self, stiffness_n_per_m=factor * self.stiffness_n_per_m, drive=self.drive.stiffer(factor))
+        drive = replace(self.drive, gain_v_per_m=factor * self.drive.gain_v_per_m)
+        return replace(self, stiffness_n_per_m=factor * self.stiffness_n_per_m, drive=drive)
 
     def with_belt_damping(self, share: FloatArray) -> DrivenAxis:
         """Return the axis with the first of (3,) of its damping across the drive's spring, not against the ground."""
