@@ -8,7 +8,7 @@ for each axis, or use P and T.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
@@ -46,9 +46,9 @@ _FILAMENT = re.compile(
     rb"|(G92[^;\n\r]*E))",
     re.MULTILINE,
 )
-_FILAMENT_MODE = re.compile(rb"^[ \t]*M8[23](?!\d)", re.MULTILINE)
+FILAMENT_MODE = re.compile(rb"^[ \t]*M8[23](?!\d)", re.MULTILINE)
 _ENOUGH_MOVES, _FEW_MOVES, _MOST_WIPES = 40, 4, 0.25
-_BAMBU = b"Bambu"  # in the header, and in the settings, of every print for its printers
+BAMBU = b"Bambu"  # in every print for its printers, where G90 leaves M83 in force
 
 
 class FlavorSign(NamedTuple):
@@ -143,16 +143,6 @@ def _filament_trend(text: bytes) -> tuple[int, int, bool]:
     return growing, others, False
 
 
-def is_for_bambu(text: bytes) -> bool:
-    """Whether a print is for a Bambu printer, where G90 leaves M83 in force."""
-    return _BAMBU in text
-
-
-def says_how_filament_counts(text: bytes) -> bool:
-    """Whether a line sets absolute or relative E."""
-    return _FILAMENT_MODE.search(text) is not None
-
-
 def detect_slicer(lines: list[bytes]) -> str:
     """Return the slicer's name from its header comments, or "unknown"."""
     comments = [line for line in lines[:_HEAD_LINES] if line.lstrip().startswith(b";")]
@@ -162,17 +152,11 @@ def detect_slicer(lines: list[bytes]) -> str:
 
 def limit_lines(flavor: str, commands: Iterable[LimitCommand], unit_mm: float) -> list[bytes]:
     """Return commands that set limits as a file with this unit states them: after G20, Marlin takes inches."""
-    return [limit_line(flavor, each.code, each.words, unit_mm) for each in commands]
-
-
-def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:
-    """Return a command that sets limits.
-
-    words : letter → mm, mm/s or mm/s² (`gcode.program.LimitCommand`)
-    unit_mm : unit of the file
-    """
-    numbers = ((letter, value / limit_unit(flavor, code, letter, unit_mm)) for letter, value in words.items())
-    return " ".join([code, *(f"{letter}{limit_number(x)}" for letter, x in numbers)]).encode()
+    lines = []
+    for code, words, _ in commands:
+        numbers = ((letter, value / limit_unit(flavor, code, letter, unit_mm)) for letter, value in words.items())
+        lines.append(" ".join([code, *(f"{letter}{limit_number(x)}" for letter, x in numbers)]).encode())
+    return lines
 
 
 def limit_unit(flavor: str, code: str, letter: str, unit_mm: float) -> float:

@@ -119,7 +119,7 @@ class _Reader:
         """Read the next part of the file; `ahead` is the beginning of the rest."""
         self.ahead = ahead
         settled = self._settle_filament(data)
-        if self.g90_keeps_m83 is None and dialects.is_for_bambu(data):
+        if self.g90_keeps_m83 is None and dialects.BAMBU in data:
             self.g90_keeps_m83 = True
         self._begin(data)
         self.warnings += settled
@@ -142,7 +142,7 @@ class _Reader:
         if self.e_is_settled:
             return []
         relative = dialects.filament_is_relative(data)
-        self.e_is_settled = relative is not None or dialects.says_how_filament_counts(data)
+        self.e_is_settled = relative is not None or dialects.FILAMENT_MODE.search(data) is not None
         if not relative:
             return []
         self.modal.set_e_mode(absolute=False)

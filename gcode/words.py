@@ -112,7 +112,7 @@ def shown(text: bytes) -> str:
 def commands(line: bytes, number: int) -> list[Command]:
     """Return the commands of one line: none for blank lines and comments, several for `G17 G21 G90`."""
     text = _without_number(line.partition(b";")[0], number)
-    text = text[_matched_length(_LEADING_COMMENTS, text) :].strip()
+    text = _LEADING_COMMENTS.sub(b"", text, count=1).strip()
     if not text or text == b"%":  # % frames a program on paper tape; some CAM programs still write it
         return []
     return _commands(text, number)
@@ -131,11 +131,6 @@ def _commands(text: bytes, number: int) -> list[Command]:
         return [Command("", text, number)]
     rule = "a command starts with G, M or T and a number, an axis word, or a macro's name"
     raise GcodeError(f"{shown(text)} cannot be read as a command; {rule}.", number)
-
-
-def _matched_length(pattern: re.Pattern[bytes], text: bytes) -> int:
-    match = pattern.match(text)
-    return match.end() if match else 0
 
 
 def _pieces(text: bytes) -> list[bytes]:
