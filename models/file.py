@@ -125,8 +125,8 @@ class Entry:
 def entries(path: Path) -> list[Entry]:
     """Every value that describes the machine, defaults included, in the order of the file format."""
     document = _parsed(path.read_bytes(), str(path))
-    stated = dict(_flat(document.model_dump(exclude_unset=True)))
-    values = _flat(document.model_dump(exclude={"format", "name", "uncertainty", "provenance"}))
+    stated = dict(flat(document.model_dump(exclude_unset=True)))
+    values = flat(document.model_dump(exclude={"format", "name", "uncertainty", "provenance"}))
 
     quantities = document.quantities
 
@@ -147,10 +147,11 @@ def _as_written(key: str, quantities: Quantities) -> str:
     return quantities.key(key)
 
 
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every value of nested tables by its keys, joined with dots."""
     for key, value in table.items():
         if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
+            yield from flat(value, f"{prefix}{key}.")
         else:
             yield prefix + key, value
 

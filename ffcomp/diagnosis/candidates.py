@@ -338,9 +338,7 @@ def _axis_candidate(
     sized = [p for p in effect.amplitudes if p.usual is not None]
     amplitudes = tuple(_axis_amplitude(effect, p, scales, i) for p in sized for i in _numbers_of(p, signals))
     searched = _searched(effect)
-    starts = {
-        p.name: list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in _axis_starts(p, scales))) for p in searched
-    }
+    starts = {p.name: _axis_starts(p, scales) for p in searched}
     shapes = tuple(_axis_shape(effect, p, starts[p.name], scales) for p in searched)
     if pitches and any(p.is_pitch for p in searched):
         starts |= {p.name: list(pitches) for p in searched if p.is_pitch}

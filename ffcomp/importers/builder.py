@@ -22,7 +22,7 @@ from ffcomp.importers.marlin import from_marlin
 from ffcomp.importers.reprapfirmware import from_reprapfirmware
 from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value, commands, decoded, farthest_reach
 from models.errors import MachineFileError
-from models.file import LIBRARY, load_machine
+from models.file import LIBRARY, flat, load_machine
 from models.machine import ASSUMED, MotionLimits, Steps, is_assumed
 
 KLIPPER = re.compile(r"^\[(?:printer\]|include |stepper_\w+\]|mcu\])", re.MULTILINE)
@@ -163,7 +163,7 @@ def _document(path: Path) -> dict[str, Any]:
 def _assumed(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
     known_axes = {key[: len("axes.x.")] for key in config.values if key.startswith("axes.")}
     for table in BORROWED:
-        for key, value in _flat(lender.get(table, {}), f"{table}."):
+        for key, value in flat(lender.get(table, {}), f"{table}."):
             if not key.startswith(tuple(known_axes)):  # an axis's values belong together
                 yield key, Value(value, "assumed", f"{ASSUMED}: as the machine {like!r}")
     if config.kinematics == "delta":
@@ -198,14 +198,6 @@ def _assumed_reach(config: ConfigValues, lender: Mapping[str, Any], like: str) -
         reach = min(share * radius.number, farthest_reach(arm, radius.number))
         rule = f"{ASSUMED}: the share of the delta radius that the machine {like!r} has"
         yield "kinematics.print_radius_mm", Value(round(reach, 1), "assumed", rule)
-
-
-def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
 
 
 # --- Text

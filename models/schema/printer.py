@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -37,11 +37,7 @@ class LimitsTable(Table):
 
     def limits(self) -> MotionLimits:
         """Return the limits."""
-        travel = self.carriage_travel_mm
-        return MotionLimits(
-            **self.model_dump(exclude={"carriage_travel_mm"}),
-            carriage_travel_mm=None if travel is None else (travel[0], travel[1]),
-        )
+        return MotionLimits(**self.record())
 
 
 Microsteps = Annotated[float, Field(ge=1, le=1e5)]
@@ -65,12 +61,7 @@ class StepsTable(Table):
 
     def steps(self) -> Steps:
         """Return the steps."""
-        return Steps(
-            _number_or_tuple(self.steps_per_mm),
-            _number_or_tuple(self.full_steps_per_mm),
-            self.extruder_steps_per_mm,
-            tuple(sorted(self.model_fields_set)),
-        )
+        return Steps(**self.record(), stated=tuple(sorted(self.model_fields_set)))
 
 
 Speeds = Annotated[list[Annotated[float, Field(ge=0.01, le=5000)]], FOUR]
@@ -81,10 +72,7 @@ _Settings = TypeVar("_Settings", MarlinSettings, RepRapFirmwareSettings)
 
 
 def _stated(table: Table, settings: _Settings) -> _Settings:
-    stated: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value
-        for key, value in table.model_dump(exclude_none=True).items()
-    }
+    stated = table.record(exclude_none=True)
     return replace(settings, **stated, stated=tuple(stated))
 
 
@@ -158,10 +146,6 @@ class MacrosTable(Table):
     """`[macros]`: the printer's own macros."""
 
     returns: list[MacroName] | None = None
-
-
-def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def _shown(value: float | list[float]) -> str:

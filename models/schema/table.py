@@ -35,6 +35,10 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True, defer_build=True)
 
+    def record(self, **dump: Any) -> dict[str, Any]:
+        """Return the values with tuples for lists; `dump` as for `model_dump`."""
+        return {key: tuple(x) if isinstance(x, list) else x for key, x in self.model_dump(**dump).items()}
+
 
 def table_of(annotation: Any) -> type[Table] | None:
     """Return the table behind `X` or `X | None`."""
