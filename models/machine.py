@@ -20,8 +20,6 @@ from models.arrays import FloatArray, constant
 from models.kinematics.base import Kinematics
 from models.vibration.base import VibrationModel
 
-CORNER_MM_PER_S = 1.0  # Klipper's default `instantaneous_corner_velocity`
-
 
 @dataclass(frozen=True)
 class MotionLimits:

@@ -174,7 +174,6 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     output = SegmentLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
         raised_axes=machine.kinematics.raisable_axes,
-        instantaneous_corner_velocity_mm_per_s=limits.instantaneous_corner_velocity_mm_per_s,
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * EXTRUSION_RATIO,
     )
     segment_s = 1.0 / segments_per_second

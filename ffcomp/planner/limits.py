@@ -15,7 +15,7 @@ import numpy as np
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
 from models.compiled import kernel
-from models.machine import CORNER_MM_PER_S, Machine
+from models.machine import Machine
 
 SHORTEST_TRAVEL_MM = 1e-9  # a shorter nozzle move counts as extruder-only
 NOZZLE_MM, FILAMENT_MM = 0.4, 1.75  # diameters
@@ -54,9 +54,7 @@ class PlannerLimits:
     minimum_cruise_ratio: float = 0.5
     z_velocity_mm_per_s: float | None = None  # None: as the nozzle
     z_acceleration_mm_per_s2: float | None = None  # None: as the nozzle
-    extruder_velocity_mm_per_s: float | None = None  # None: velocity times EXTRUSION_RATIO
     extruder_acceleration_mm_per_s2: float | None = None  # None: acceleration times EXTRUSION_RATIO
-    instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # step in the speed of the filament at a corner
     delta: DeltaSlowZones | None = None  # None: no slow zones
 
     @property
@@ -70,7 +68,7 @@ class PlannerLimits:
         return (
             *(v, a, self.square_corner_velocity_mm_per_s, self.minimum_cruise_ratio),
             *(self.z_velocity_mm_per_s or v, self.z_acceleration_mm_per_s2 or a),
-            self.extruder_velocity_mm_per_s or v * EXTRUSION_RATIO,
+            v * EXTRUSION_RATIO,
             self.extruder_acceleration_mm_per_s2 or a * EXTRUSION_RATIO,
             tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
         )

@@ -21,9 +21,11 @@ from gcode.program import EventKind, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
+FILAMENT_MM_PER_S = 1.0  # step in the filament's speed at a corner: Klipper's default `instantaneous_corner_velocity`
+
 
 @kernel
-def corner_v2(along: float, deviation: float, length: float, jump: float, filament_v: float) -> float:
+def corner_v2(along: float, deviation: float, length: float, jump: float) -> float:
     """Return the highest v² at a corner: by junction deviation, centripetal, and by the filament.
 
     A circle replaces the corner. Its radius is s/(1 - s) of its distance from the corner, s = sin(theta/2), and
@@ -31,9 +33,9 @@ def corner_v2(along: float, deviation: float, length: float, jump: float, filame
 
     along : cosine of the angle between the two directions
     deviation, length : of a segment, times its acceleration; the smaller one of the two segments
-    jump : of the filament per path;  filament_v : the step in its speed that is allowed
+    jump : of the filament per path
     """
-    v2 = (filament_v / jump) ** 2 if jump > 0.0 else np.inf
+    v2 = (FILAMENT_MM_PER_S / jump) ** 2 if jump > 0.0 else np.inf
     sine = np.sqrt(max(0.5 * (1.0 + along), 0.0))
     cosine = np.sqrt(max(0.5 * (1.0 - along), 0.0))
     if sine < 1.0 and cosine > 0.0:
@@ -88,7 +90,7 @@ def plan_moves(
     lines = lines_of(moves)
     bounds = bounds_of(moves, lines, limits)
     stops = stop_before | (wait_before > 0.0)
-    kept, corner = _corners(lines, bounds, stops, limits.instantaneous_corner_velocity_mm_per_s)
+    kept, corner = _corners(lines, bounds, stops)
     ramps = bounds.acceleration, bounds.smooth_acceleration
     phases = phases_from_corners(kept, corner, lines.length, bounds.speed, *ramps)
     return timed(moves, lines, Phases(*phases), wait_before, start_t)
@@ -146,7 +148,7 @@ def timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, s
 
 
 @kernel
-def _corners(lines: Lines, bounds: Bounds, stop_before: BoolArray, filament_jump: float) -> tuple[IntArray, FloatArray]:
+def _corners(lines: Lines, bounds: Bounds, stop_before: BoolArray) -> tuple[IntArray, FloatArray]:
     """Return the moves with a length, (m,), and the highest v² at their starts, (m,).
 
     stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
@@ -163,7 +165,7 @@ def _corners(lines: Lines, bounds: Bounds, stop_before: BoolArray, filament_jump
                 by_length = min(length[i] * acceleration[i], length[last] * acceleration[last])
                 ahead, behind = direction[i], direction[last]
                 along = ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2]
-                v2 = corner_v2(along, by_deviation, by_length, abs(ahead[3] - behind[3]), filament_jump)
+                v2 = corner_v2(along, by_deviation, by_length, abs(ahead[3] - behind[3]))
                 corner[m] = min(speed[i] ** 2, speed[last] ** 2, v2)
             kept[m] = i
             m, last, stops = m + 1, i, False

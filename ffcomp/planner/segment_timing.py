@@ -19,12 +19,9 @@ import numpy as np
 from ffcomp.planner.lookahead import corner_v2
 from models.arrays import FloatArray
 from models.compiled import kernel
-from models.machine import CORNER_MM_PER_S
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
 SETTLED_MM_PER_S = 1e-9  # a smaller change of a junction does not affect its segments
-
-_Numbers = tuple[float, ...]  # acceleration, corner, z, extruder's corner, retraction, top
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +32,8 @@ class SegmentLimits:
     acceleration_mm_per_s2: float = 100_000.0
     square_corner_velocity_mm_per_s: float = 100.0
     z_acceleration_mm_per_s2: float = 10_000.0  # the printer's own: a G-code file cannot raise it
-    instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # of the extruder
     retract_acceleration_mm_per_s2: float = 2600.0  # of the filament, on moves that pull it back; the printer's own
     raised_axes: str = "XYZ"  # whose limits the header opens where firmware has one for each: no lead screw's
-
-    @property
-    def numbers(self) -> _Numbers:
-        """The limits for compiled loops."""
-        return (
-            self.acceleration_mm_per_s2,
-            self.square_corner_velocity_mm_per_s,
-            self.z_acceleration_mm_per_s2,
-            self.instantaneous_corner_velocity_mm_per_s,
-            self.retract_acceleration_mm_per_s2,
-            self.velocity_mm_per_s,
-        )
 
 
 class SegmentSpeeds(NamedTuple):
@@ -92,35 +76,24 @@ def segment_speeds(
     extrusion : (n,) mm of filament in each segment
     lasting : (n,) s, the S of each segment
     """
-    return SegmentSpeeds(*_played(vertices, extrusion, lasting, limits.numbers))
+    along = limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, limits.velocity_mm_per_s
+    of_axes = limits.z_acceleration_mm_per_s2, limits.retract_acceleration_mm_per_s2
+    return SegmentSpeeds(*_played(vertices, extrusion, lasting, *along, *of_axes))
 
 
 def sample_even_segments(
     vertices: FloatArray, extrusion: FloatArray, lasting_s: float, limits: SegmentLimits, substeps: int
 ) -> FloatArray:
-    """Sample segments that all last the same time, from rest to rest: `segment_speeds`, then `sample_segments`.
-
-    Parameters
-    ----------
-    vertices : (n + 1, 3) mm, columns X Y Z
-    extrusion : (n,) mm of filament in each segment
-    lasting_s : s, of every segment
-    limits : under which they are executed
-    substeps : samples of each segment
-
-    Returns
-    -------
-    (n·substeps + 1, 3) mm
-    """
+    """Sample segments that all last the same time: `segment_speeds`, then `sample_segments`."""
     speeds = segment_speeds(vertices, extrusion, np.full(len(vertices) - 1, lasting_s), limits)
     return sample_segments(vertices, speeds, substeps)
 
 
 @kernel
 def _played(
-    vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: _Numbers
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    acceleration, corner_v, z_acceleration, extruder_corner_v, retract_acceleration, top_v = limits
+    vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray,
+    acceleration: float, corner_v: float, top_v: float, z_acceleration: float, retract_acceleration: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     n = len(vertices) - 1
     d = np.empty(n)
     a = np.empty(n)
@@ -139,7 +112,7 @@ def _played(
                 a[k] = min(a[k], z_acceleration * d[k] / abs(dz))
             if ratio[k] < 0.0:
                 a[k] = min(a[k], -retract_acceleration / ratio[k])
-    limit = _junction_limits(d, a, unit, ratio, corner_v**2 * (np.sqrt(2.0) - 1.0) / acceleration, extruder_corner_v)
+    limit = _junction_limits(d, a, unit, ratio, corner_v**2 * (np.sqrt(2.0) - 1.0) / acceleration)
     cruise, junction = _settle(d, lasting, a, limit, top_v)
     duration = lasting.copy()
     for k in range(n):
@@ -185,9 +158,7 @@ def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
 
 
 @kernel
-def _junction_limits(
-    d: FloatArray, a: FloatArray, unit: FloatArray, ratio: FloatArray, deviation: float, extruder_corner_v: float
-) -> FloatArray:
+def _junction_limits(d: FloatArray, a: FloatArray, unit: FloatArray, ratio: FloatArray, deviation: float) -> FloatArray:
     """Return the largest speed at each junction, mm/s: by its angle and by the extruder's jump."""
     n = len(d)
     limit = np.zeros(n + 1)
@@ -196,7 +167,7 @@ def _junction_limits(
             continue
         dot = unit[k, 0] * unit[k - 1, 0] + unit[k, 1] * unit[k - 1, 1] + unit[k, 2] * unit[k - 1, 2]
         by_deviation, by_length = deviation * min(a[k], a[k - 1]), min(d[k] * a[k], d[k - 1] * a[k - 1])
-        v2 = corner_v2(dot, by_deviation, by_length, abs(ratio[k] - ratio[k - 1]), extruder_corner_v)
+        v2 = corner_v2(dot, by_deviation, by_length, abs(ratio[k] - ratio[k - 1]))
         limit[k] = np.sqrt(v2)
     return limit
 
