@@ -10,12 +10,12 @@ from functools import cached_property
 from typing import Any
 
 from numba import njit
-from numba.core.caching import FunctionCache, _Cache
+from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 
-class KernelCache(_Cache):
+class KernelCache:
     """Numba's cache of one kernel, made on its first call: most of the 270 kernels are never called.
 
     Before it loads compiled code, numba fills its function tables (0.2 s). Only compiling needs them.
@@ -33,10 +33,9 @@ class KernelCache(_Cache):
             files._cache_file._source_stamp = self._sources
         return files
 
-    @property
-    def cache_path(self) -> str:
-        """The folder."""
-        return str(self.files.cache_path)
+    def __getattr__(self, name: str) -> Any:
+        """Return what numba's own cache has."""
+        return getattr(self.files, name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load compiled code for these types; if there is none, fill the tables and return None."""
@@ -47,22 +46,6 @@ class KernelCache(_Cache):
         while self._waiting:
             self._waiting.pop()()
         return self.files.load_overload(sig, target_context)
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Save code that has been compiled."""
-        self.files.save_overload(sig, data)
-
-    def enable(self) -> None:
-        """Use the cache."""
-        self.files.enable()
-
-    def disable(self) -> None:
-        """Use no cache."""
-        self.files.disable()
-
-    def flush(self) -> None:
-        """Forget all code."""
-        self.files.flush()
 
 
 def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | None, waiting: list[Any]) -> Any:
