@@ -23,12 +23,11 @@ from ffcomp.firmware import marlin_queue as q
 from ffcomp.firmware.marlin_queue import Blocks, Singles, Targets, phases_of, plan_blocks
 from ffcomp.firmware.settings_in_force import SettingsInForce, own_row
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.lookahead import Phases, timed
+from ffcomp.planner.lookahead import timed
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
-from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
@@ -69,7 +68,7 @@ class MarlinPlanner:
         lines = lines_of(moves)
         of_blocks = (blocks.acceleration, blocks.events, tuple(phases_of(blocks)))
         columns = _shared_out(ends[blocks.target], lines.length, moves.speed, *of_blocks)
-        return timed(moves, lines, Phases(*columns), wait_before, start_t)
+        return timed(moves, lines, columns, wait_before, start_t)
 
     def blocks(self, moves: Moves, rests: BoolArray) -> tuple[Blocks, IntArray]:
         """Return Marlin's queue for these moves, and for each target the move that ends there.
@@ -116,17 +115,16 @@ class MarlinPlanner:
         return shift
 
     def _motors(self, place: FloatArray, filament_shift: FloatArray) -> FloatArray:
-        """Return (n, 4) mm of the motors at places (n, 4) of nozzle and filament."""
-        return np.column_stack([_motor_places(self.machine.kinematics, place[:, :3]), place[:, 3] + filament_shift])
+        """Return (n, 4) mm of the motors at places (n, 4) of nozzle and filament.
 
-
-def _motor_places(kinematics: Kinematics, xyz: FloatArray) -> FloatArray:
-    """Return where Marlin has the motors at points (n, 3) mm: a delta's from the nozzle's height, in float's digits."""
-    if isinstance(kinematics, DeltaKinematics):
-        places = _carriages(xyz.astype(np.float32), kinematics.towers_mm, kinematics.arm_lengths_mm)
-        if not np.isnan(places).any():
-            return places
-    return kinematics.inverse(xyz) @ kinematics.motors.T  # which says what cannot be reached
+        A delta's are seen from the nozzle's height, in float's digits.
+        """
+        kinematics, motors = self.machine.kinematics, np.array(np.nan)
+        if isinstance(kinematics, DeltaKinematics):
+            motors = _carriages(place[:, :3].astype(np.float32), kinematics.towers_mm, kinematics.arm_lengths_mm)
+        if np.isnan(motors).any():
+            motors = kinematics.inverse(place[:, :3]) @ kinematics.motors.T  # which says what cannot be reached
+        return np.column_stack([motors, place[:, 3] + filament_shift])
 
 
 @kernel
@@ -175,7 +173,7 @@ def _shared_out(
     events: FloatArray,
     phases: tuple[FloatArray, ...],
 ) -> FloatArray:
-    """Share each block out among the moves that it covers, by their lengths: (7, n), rows as `lookahead.Phases`.
+    """Share each block out among the moves that it covers, by their lengths: (7, n), rows as of `lookahead.timed`.
 
     Moves that Marlin never executes, because nothing follows, count at their own speed.
 

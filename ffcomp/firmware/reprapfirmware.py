@@ -24,7 +24,7 @@ from ffcomp.firmware import marlin_queue as q
 from ffcomp.firmware.base import AxisLimits, Firmware, Planner
 from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence, own_row
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.lookahead import Phases, phases_from_corners, timed
+from ffcomp.planner.lookahead import phases_from_corners, timed
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import REPRAPFIRMWARE
 from gcode.program import Moves, Program
@@ -120,7 +120,7 @@ def plan_by_axes(
     kept, corner = _corners(lines.direction, lines.length, top, settings, rests)
     in_sight = _in_sight(corner, 2.0 * lines.length[kept] * acceleration[kept], queue)
     phases = phases_from_corners(kept, in_sight, lines.length, top, acceleration, acceleration)
-    return timed(moves, lines, Phases(*phases), wait_before, start_t)
+    return timed(moves, lines, phases, wait_before, start_t)
 
 
 @kernel

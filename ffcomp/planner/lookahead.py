@@ -11,8 +11,6 @@ v² = v0² + 2 a d. The rules are Klipper's and Kalico's, checked against the ru
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
@@ -44,18 +42,6 @@ def corner_v2(along: float, deviation: float, length: float, jump: float) -> flo
 
 
 _RESTS = (EventKind.STOP, EventKind.DWELL, EventKind.RAW_MOVE)
-
-
-class Phases(NamedTuple):
-    """Speeding up, cruising, braking: (n,) arrays, as in `Trajectory`."""
-
-    accel_t: FloatArray
-    cruise_t: FloatArray
-    decel_t: FloatArray
-    start_v: FloatArray
-    cruise_v: FloatArray
-    end_v: FloatArray
-    acceleration: FloatArray
 
 
 def stops_and_waits(program: Program) -> tuple[BoolArray, FloatArray]:
@@ -93,7 +79,7 @@ def plan_moves(
     kept, corner = _corners(lines, bounds, stops)
     ramps = bounds.acceleration, bounds.smooth_acceleration
     phases = phases_from_corners(kept, corner, lines.length, bounds.speed, *ramps)
-    return timed(moves, lines, Phases(*phases), wait_before, start_t)
+    return timed(moves, lines, phases, wait_before, start_t)
 
 
 @kernel
@@ -105,7 +91,9 @@ def phases_from_corners(
     acceleration: FloatArray,
     smooth_acceleration: FloatArray,
 ) -> FloatArray:
-    """Return the trapezoids of n moves that pass their corners as fast as looking ahead allows, (7, n): `Phases`.
+    """Return the trapezoids of n moves that pass their corners as fast as looking ahead allows.
+
+    (7, n), rows as the columns `accel_t` to `acceleration` of `Trajectory`.
 
     kept, corner : (m,) indices of the moves with a length, and the highest v² at their starts
     """
@@ -133,15 +121,17 @@ def phases_from_corners(
     return phases
 
 
-def timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, start_t: float) -> Trajectory:
-    """Put the moves one after the other, with their waits.
+def timed(moves: Moves, lines: Lines, phases: FloatArray, wait_before: FloatArray, start_t: float) -> Trajectory:
+    """Put the moves one after the other, with their waits; phases (7, n) as of `phases_from_corners`.
 
     NOTE: times are summed one by one, as the firmware does: a move begins exactly when its neighbour ends.
     """
     since_last = np.array(wait_before, dtype=np.float64)
-    since_last[1:] += (phases.accel_t + phases.cruise_t + phases.decel_t)[:-1]
+    accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration = phases
+    since_last[1:] += (accel_t + cruise_t + decel_t)[:-1]
     since_last[:1] += start_t
-    return Trajectory(np.cumsum(since_last), *phases, moves.start, lines.direction)
+    times, speeds = (np.cumsum(since_last), accel_t, cruise_t, decel_t), (start_v, cruise_v, end_v)
+    return Trajectory(*times, *speeds, acceleration, moves.start, lines.direction)
 
 
 # Corners
