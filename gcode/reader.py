@@ -13,7 +13,6 @@ from math import hypot, isnan, nan
 from typing import TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gcode import dialects
 from gcode.arcs import Arc, arc_by_centre, arc_by_radius
@@ -362,12 +361,9 @@ class _Reader:
             self._chords(at, start, end, arc)
         elif travelled > STILL_MM2:
             self._warn_of_default_feed(at)
-            self._move(at, end)
+            self.moves.add(at, len(self.states) - 1, self.limit, end)
         else:
             self._event(at, PASS)
-
-    def _move(self, at: int, ends: ArrayLike) -> None:
-        self.moves.add(at, len(self.states) - 1, self.limit, ends)
 
     # -- arcs --
 
@@ -392,7 +388,7 @@ class _Reader:
         points[:, 3] = start[3] + (end[3] - start[3]) * chords[:, 2]
         points[-1] = end
         self._warn_of_default_feed(at)
-        self._move(at, points)
+        self.moves.add(at, len(self.states) - 1, self.limit, points)
 
     # -- book-keeping --
 

@@ -57,22 +57,6 @@ class PlannerLimits:
     extruder_acceleration_mm_per_s2: float | None = None  # None: acceleration times EXTRUSION_RATIO
     delta: DeltaSlowZones | None = None  # None: no slow zones
 
-    @property
-    def numbers(self) -> _Numbers:
-        """What the configuration allows where the file says nothing, and nowhere more, for compiled loops.
-
-        Speed, acceleration, corner and cruise ratio; speed and acceleration of Z and of the filament; and beyond which
-        radius squared, mm², which share of speed and acceleration.
-        """
-        v, a, delta = self.velocity_mm_per_s, self.acceleration_mm_per_s2, self.delta
-        return (
-            *(v, a, self.square_corner_velocity_mm_per_s, self.minimum_cruise_ratio),
-            *(self.z_velocity_mm_per_s or v, self.z_acceleration_mm_per_s2 or a),
-            v * EXTRUSION_RATIO,
-            self.extruder_acceleration_mm_per_s2 or a * EXTRUSION_RATIO,
-            tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
-        )
-
 
 class Lines(NamedTuple):
     """n straight moves as geometry."""
@@ -120,7 +104,14 @@ def _lines(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray, 
 def bounds_of(moves: Moves, lines: Lines, limits: PlannerLimits) -> Bounds:
     """Every limit on single moves, put together."""
     by_file = moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio
-    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines, by_file, limits.numbers))
+    v, a, delta = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.delta
+    configured = (
+        *(v, a, limits.square_corner_velocity_mm_per_s, limits.minimum_cruise_ratio),
+        *(limits.z_velocity_mm_per_s or v, limits.z_acceleration_mm_per_s2 or a),
+        *(v * EXTRUSION_RATIO, limits.extruder_acceleration_mm_per_s2 or a * EXTRUSION_RATIO),
+        tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
+    )
+    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines, by_file, configured))
 
 
 @kernel
@@ -132,7 +123,12 @@ def _bounds(
     set_by_the_file: tuple[FloatArray, ...],
     configured: _Numbers,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compute the columns of `Bounds`; set_by_the_file: velocity, acceleration, corner and cruise ratio, (n,) each."""
+    """Compute the columns of `Bounds`.
+
+    set_by_the_file : velocity, acceleration, corner and cruise ratio, (n,) each
+    configured : the same where the file says nothing, and nowhere more speed and acceleration; those of Z and of the
+        filament; and beyond which radius squared, mm², which share of speed and acceleration
+    """
     n, direction, travels = len(speed), lines.direction, lines.travels
     top, acceleration, smooth, deviation = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     velocities, accelerations, corners, ratios = set_by_the_file
