@@ -63,16 +63,10 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
     A chord of a bend lies on its inner side everywhere, an error as slow as the bend, and the machine follows it. What
     the least squares leave changes sides within every segment, too fast for the machine.
 
-    Parameters
-    ----------
-    at : (n,) times of the points, in knots
-    points : (n, 3) mm
-    kept : (m,) indices of the points that are kept, as `merge` returns them
+    kept : (m,) what `merge` returns; other parameters as there
     fixed : (m,) which of those must stay where they are
 
-    Returns
-    -------
-    (m, 3) mm
+    Returns their places, (m, 3) mm.
     """
     m = len(kept)
     weight, beside, missed = np.zeros(m), np.zeros(m), np.zeros((m, 3))
@@ -103,16 +97,9 @@ def at_most(at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArra
 
     Of those that may go, the one goes that the path between its neighbours misses least.
 
-    Parameters
-    ----------
-    at : (n,) times of the points, in knots
-    points : (n, 3) mm
-    kept : (m,) indices of the points that are kept, as `merge` returns them
-    pinned : (n,) points that must stay
+    kept : (m,) what `merge` returns; other parameters as there
 
-    Returns
-    -------
-    (k,) indices of the points that stay
+    Returns the indices of the points that stay, (k,).
     """
     stays, count, first = kept.copy(), len(kept), 0
     while first < count - 1:
