@@ -106,12 +106,7 @@ def simulate_load(machine: Machine, motor_mm: FloatArray, dt_s: float, shot: int
     Parameters
     ----------
     motor_mm : (n,) mm, where the motor is: a cubic spline between samples.
-    shot, begin : see `simulate_axis`.
-
-    Raises
-    ------
-    ValueError
-        If the motion diverges, or an effect is incomplete.
+    shot, begin : see `simulate_axis`; errors as there
     """
     axis = axis_parameters(machine)
     load = AxisParameters(axis.load, axis.coupling, drive_damping=axis.coupling_damping)
