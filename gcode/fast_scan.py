@@ -158,33 +158,21 @@ def _read_words(text: ByteArray, at: int, words: FloatArray) -> int:
         sign = text[at]
         if sign in (_MINUS, _PLUS):
             at += 1
-        begin, mantissa = at, 0
-        digit = _digit(text[at])
-        while digit >= 0:
-            mantissa = 10 * mantissa + digit
-            at += 1
-            digit = _digit(text[at])
-        whole, decimals = at - begin, 0
-        if text[at] == _POINT:
-            at += 1
-            begin = at
-            digit = _digit(text[at])
-            while digit >= 0:
+        begin, point, mantissa = at, -1, 0
+        while True:
+            digit = text[at] - 48
+            if 0 <= digit <= 9:
                 mantissa = 10 * mantissa + digit
-                at += 1
-                digit = _digit(text[at])
-            decimals = at - begin
+            elif text[at] == _POINT and point < 0:
+                point = at
+            else:
+                break
+            at += 1
+        whole, decimals = (at - begin, 0) if point < 0 else (point - begin, at - point - 1)
         if whole > _DIGITS_BEFORE_POINT or not 0 < whole + decimals <= _DIGITS:
             return -1
         size = mantissa / _POWERS[decimals]
         words[column] = -size if sign == _MINUS else size
-
-
-@kernel
-def _digit(byte: int) -> int:
-    """0 to 9; -1 for any other byte."""
-    digit = byte - 48
-    return digit if 0 <= digit <= 9 else -1
 
 
 @kernel
