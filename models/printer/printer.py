@@ -20,7 +20,6 @@ import numpy as np
 from models.arrays import BoolArray, FloatArray
 from models.effects.effect import Signals
 from models.errors import UnreachableError
-from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.printer.kernels.axes import BELT_DAMPING, FREQUENCY2, SHARE, lanes_of_axes
 from models.printer.kernels.friction import RELAXED
@@ -151,7 +150,10 @@ def simulate_printers(
             tasks[i] = _task(command, cubics, prepared, start)
         except ValueError as error:
             motions[i] = error
-    for i, state in _settled({i: task for i, task in tasks.items() if len(task.values) == 0}).items():
+    resting = {i: task for i, task in tasks.items() if len(task.values) == 0}
+    begins = np.array([1e3 * task.cubics[0, :, 3] for task in resting.values()]).reshape(-1, 3)
+    states = deltas_at_rest([task.printer.converted for task in resting.values()], begins)
+    for i, state in zip(resting, states, strict=True):
         if isinstance(state, ValueError):
             motions[i] = state
             del tasks[i]
@@ -203,30 +205,23 @@ def _forget(kept: dict[Any, Any]) -> None:
         kept.pop(old, None)
 
 
-def _motors_of(printer: ConvertedPrinter) -> FloatArray | None:
-    """Return the matrix (3, 3) from axes to motors; None where each axis has its own, and of a delta."""
-    matrix = printer.parameters.motor_matrix
-    return None if len(printer.modes) == 0 or np.array_equal(matrix, np.eye(3)) else matrix
-
-
 @dataclass(frozen=True, eq=False)
 class _Ready:
     """A converted printer, limited to what the integration steps can resolve."""
 
-    parameters: PrinterParameters
-    modes: FloatArray  # (n, 7, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
-    kinematics: Kinematics  # with the effects on it
-    motors: FloatArray | None  # see `_motors_of`
+    converted: ConvertedPrinter
+    motors: FloatArray | None  # (3, 3) from axes to motors; None where each axis has its own, and of a delta
     steps: int  # from row to row
     kept: int  # rows of the command that a simulation may be continued with
 
 
 def _ready(printer: ConvertedPrinter, dt_s: float, substeps: int | None) -> _Ready:
-    modes = printer.modes
-    steps = substeps or math.ceil(dt_s / longest_step(printer.parameters, modes) * (1 - 1e-9))
-    p = _limit_stiffness(printer.parameters, dt_s / steps)
+    p, modes, kinematics = printer
+    steps = substeps or math.ceil(dt_s / longest_step(p, modes) * (1 - 1e-9))
+    limited = ConvertedPrinter(_limit_stiffness(p, dt_s / steps), _limit_rigidity(modes, dt_s / steps), kinematics)
+    own = len(modes) == 0 or np.array_equal(p.motor_matrix, np.eye(3))
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
-    return _Ready(p, _limit_rigidity(modes, dt_s / steps), printer.kinematics, _motors_of(printer), steps, kept)
+    return _Ready(limited, None if own else p.motor_matrix, steps, kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,25 +232,18 @@ class _Task:
     cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
     first: int  # first row of the command
     begin_s: float
-    values: FloatArray  # state there, see `PrinterState`; empty of a delta at rest, see `_settled`
+    values: FloatArray  # state there, see `PrinterState`; empty of a delta at rest
     history: FloatArray  # (k, 3) mm, see `PrinterState`
 
 
 def _task(command: FloatArray, cubics: FloatArray, printer: _Ready, start: PrinterState | None) -> _Task:
     """Prepare the simulation of a printer under a command : (n, 3) mm with its cubics."""
     if start is None:
-        values = axes_at_rest(printer.modes, command[0] / 1e3) if len(printer.modes) else np.empty(0)
+        modes = printer.converted.modes
+        values = axes_at_rest(modes, command[0] / 1e3) if len(modes) else np.empty(0)
         return _Task(printer, cubics, 0, 0.0, values, command[-printer.kept :].copy())
     history = np.concatenate([start.history[:-1], command])[-printer.kept :]
     return _Task(printer, cubics, len(start.history) - 1, start.t_s, start.values, history)
-
-
-def _settled(tasks: Mapping[int, _Task]) -> dict[int, FloatArray | ValueError]:
-    """Return the rest state of each delta under the first row of its command, or the error if there is none."""
-    commands = np.array([1e3 * task.cubics[0, :, 3] for task in tasks.values()]).reshape(-1, 3)
-    printers = [task.printer.parameters for task in tasks.values()]
-    states = deltas_at_rest([task.printer.kinematics for task in tasks.values()], commands, printers)
-    return dict(zip(tasks, states, strict=True))
 
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
@@ -264,7 +252,7 @@ def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
     def kind(i: int) -> tuple[int, bytes, int, int]:
         printer = tasks[i].printer
         motors = b"" if printer.motors is None else printer.motors.tobytes()
-        return len(printer.modes), motors, printer.steps, tasks[i].first
+        return len(printer.converted.modes), motors, printer.steps, tasks[i].first
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].cubics))), kind):
         names = list(group)
@@ -273,12 +261,12 @@ def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
 
 def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[PrinterMotion | UnreachableError]:
     """Simulate at most LANES tasks with the same number of steps and the same first row."""
-    printers, values = [task.printer for task in tasks], np.array([task.values for task in tasks])
+    printers, values = [task.printer.converted for task in tasks], np.array([task.values for task in tasks])
     parameters = parameter_table([printer.parameters for printer in printers])
     commands = {id(task.cubics): task.cubics for task in tasks}
     ends = dict(zip(commands, np.cumsum([len(cubics) for cubics in commands.values()]), strict=True))
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
-    first, steps = tasks[0].first, printers[0].steps
+    first, steps = tasks[0].first, tasks[0].printer.steps
     cubics = splines.joined(list(commands.values()))
     how = active_effects(parameters), cubics, np.array(ranges, dtype=np.int64), first, dt_s, steps
     if len(printers[0].modes):

@@ -27,20 +27,17 @@ def axes_at_rest(modes: FloatArray, command_m: FloatArray) -> FloatArray:
     return state
 
 
-def deltas_at_rest(
-    kinematics: Sequence[Kinematics], commands: FloatArray, printers: Sequence[PrinterParameters]
-) -> list[FloatArray | ValueError]:
+def deltas_at_rest(printers: Sequence[ConvertedPrinter], commands: FloatArray) -> list[FloatArray | ValueError]:
     """Return the state of equilibrium (30,) of each delta under its command of (k, 3) mm, or why there is none."""
     states: dict[int, FloatArray | ValueError] = {}
-    distinct = {id(each): each for each in kinematics}
-    for key, shared in distinct.items():
-        members = [i for i, each in enumerate(kinematics) if id(each) == key]
+    for shared in dict.fromkeys(each.kinematics for each in printers):
+        members = [i for i, each in enumerate(printers) if each.kinematics is shared]
         states |= zip(members, _joined(shared, commands[members]), strict=True)
     joined = [i for i, error in states.items() if not isinstance(error, ValueError)]
     for first in range(0, len(joined), LANES):
         together = joined[first : first + LANES]
-        states |= zip(together, _settled(commands[together], [printers[i] for i in together]), strict=True)
-    return [states[i] for i in range(len(kinematics))]
+        states |= zip(together, _settled(commands[together], [printers[i].parameters for i in together]), strict=True)
+    return [states[i] for i in range(len(printers))]
 
 
 def _joined(kinematics: Kinematics, commands: FloatArray) -> list[FloatArray | ValueError]:
@@ -102,8 +99,7 @@ def _coefficients(plant: Machine) -> FloatArray:
 
 def _rested(delta: ConvertedPrinter, commands: FloatArray) -> FloatArray:
     """Return the nozzle (k, 3) mm of a delta at rest under commands (k, 3) mm; ValueError if it cannot rest there."""
-    k = len(commands)
-    states = deltas_at_rest([delta.kinematics] * k, commands, [delta.parameters] * k)
+    states = deltas_at_rest([delta] * len(commands), commands)
     for state in states:
         if isinstance(state, ValueError):
             raise state
