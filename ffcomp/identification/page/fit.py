@@ -45,7 +45,7 @@ from models.compiled import kernel
 from models.effects.catalogue import key_in_file
 from models.machine import Machine, value_of, with_values
 from models.printer.parameters import ConvertedPrinter, converted_printer
-from models.printer.printer import Splines, simulate_printers
+from models.printer.printer import Splines, played, simulate_printers
 from models.vibration.modal import ModalAxes, Oscillator
 
 RATE_HZ = 3200.0
@@ -259,9 +259,7 @@ class _Page(EstimationProblem):
         motions = simulate_printers(printers, commands, 1 / RATE_HZ, substeps=1, splines=self.splines)
         paths: dict[bytes, list[FloatArray]] = {key: [] for key in first}
         for i, motion in enumerate(motions):
-            if isinstance(motion, ValueError):
-                raise motion
-            paths[list(first)[i // count]].append(motion.nozzle_mm[:, :2])
+            paths[list(first)[i // count]].append(played(motion).nozzle_mm[:, :2])
         for x, key in zip(lanes, moved, strict=True):
             bead = self.values(x)
             yield [
