@@ -75,7 +75,7 @@ class Marlin(Firmware):
         """Return the planner with the settings in force at each line of a program."""
         zeros = np.array([frame.base[3] for frame in program.frames])
         in_force = SettingsInForce.of(program, machine, settings_row(machine))
-        return MarlinPlanner(machine, marlin_settings(machine), in_force, zeros, within)
+        return MarlinPlanner(machine, in_force, zeros, within)
 
     def cut(self, program: Program, machine: Machine) -> Program:
         """Cut a delta's lines by time."""

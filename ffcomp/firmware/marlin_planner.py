@@ -55,7 +55,6 @@ class MarlinPlanner:
     """Plans moves of one program."""
 
     machine: Machine
-    settings: MarlinSettings
     in_force: SettingsInForce
     filament_zeros: FloatArray  # (frames,) mm of filament at each frame's E0; empty: unknown
     within: bool  # the moves are part of a motion, so that nothing is slowed because the queue fills
@@ -97,7 +96,7 @@ class MarlinPlanner:
             begun[last + 1] > begun[first],
             self.in_force.at(moves)[last],
         )
-        s = self.settings
+        s = marlin_settings(self.machine)
         slowdown = s.slowdown and not on_delta(self.machine) and not self.within
         return plan_blocks(targets, s.minimum_steps_per_segment, slowdown), last
 
