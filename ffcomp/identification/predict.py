@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -13,7 +12,9 @@ from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.substructures import belt, command_frf, drive_frf
+from models.vibration.substructures import command_frf, with_added_mass
+
+_Known = dict[tuple[object, ...], ComplexArray]  # (k, 3, 3) of the carriages, by kind of input, place and frequencies
 
 
 def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[ComplexArray]:
@@ -24,90 +25,53 @@ def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[
     MeasurementError
         For a response whose input, output or setup the model does not have.
     """
-    benches: dict[tuple[object, ...], _Assembly] = {}
-    return [_one(machine, response, benches) for response in responses]
+    known: _Known = {}
+    return [_one(machine, response, known) for response in responses]
 
 
-def _one(machine: Machine, response: FrequencyResponse, benches: dict[tuple[object, ...], _Assembly]) -> ComplexArray:
-    s = response.s
-    if not machine.vibration.position_dependent:
-        return np.asarray(_straight(machine, response, s) * _differentiated(response, s))
+def _one(machine: Machine, response: FrequencyResponse, known: _Known) -> ComplexArray:
+    commanded, straight = response.input.startswith("cmd_"), not machine.vibration.position_dependent
+    if straight and not (commanded and response.setup == "assembly"):
+        rule = f"The axes answer commands, such as cmd_x; {response.input!r} ({response.setup}) is none."
+        _refuse(response, rule)
     if response.setup == "effector":
-        return _effector(machine, response, s)
-    if response.setup in ("carriage", "carriage+mass"):
-        return np.asarray(_carriage(machine, response, s) * _differentiated(response, s))
-    place = response.position_mm or (0.0, 0.0, 0.0)
-    key = (place[:2], response.frequency_hz.tobytes())
-    if key not in benches:
-        benches[key] = _assembly(machine, np.array(place[:2]), s)
-    return np.asarray(benches[key].response(response) * _differentiated(response, s))
-
-
-def _straight(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
-    """Of axes that do not disturb each other; their carriages are the axes themselves."""
-    if response.setup != "assembly" or not response.input.startswith("cmd_"):
-        _refuse(response, f"The axes answer commands, such as cmd_x; {response.input!r} ({response.setup}) is none.")
-    commanded, answers = ((CARRIAGES + AXES).index(name[-1]) % 3 for name in (response.input, response.output))
-    return machine.vibration.carriage_response(np.zeros(2), s)[:, answers, commanded]
-
-
-def _differentiated(response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
-    return s**2 if response.output.startswith("acc_") else np.ones_like(s)
-
-
-def _carriage(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
-    """Eqs. 31 and 37, position to position."""
-    if not response.input.startswith("cmd_"):
+        return _struck(machine, response)
+    if response.setup == "assembly":
+        h = _assembled(machine, response, known)
+    elif commanded:  # Eqs. 31 and 37, position to position
+        h = command_frf(with_added_mass(delta_vibration(machine).carriage, response.added_mass_kg), response.s)
+    else:
         _refuse(response, f"A carriage by itself is driven by its command, not by {response.input!r}.")
-    mass = delta_vibration(machine).carriage.mass_kg + response.added_mass_kg
-    return command_frf(replace(delta_vibration(machine).carriage, mass_kg=mass), s)
+    return np.asarray(response.s**2 * h if response.output.startswith("acc_") else h)
 
 
-def _effector(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
+def _struck(machine: Machine, response: FrequencyResponse) -> ComplexArray:
     """Eq. 45: a free effector, struck along one axis, without the arms' halves."""
     kind, axis = response.input.split("_")[0], response.input.split("_")[-1]
     if kind != "force" or axis not in AXES or response.output != f"acc_{axis}":
         _refuse(
             response, f"An effector by itself is struck: force_x to acc_x, not {response.input} to {response.output}."
         )
-    return delta_vibration(machine).struck_frf(s)[:, AXES.index(axis)]
+    return delta_vibration(machine).struck_frf(response.s)[:, AXES.index(axis)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Assembly:
-    """The printer at one place: left · Z⁻¹ · right, with Z the carriages' impedance of Eq. 29."""
-
-    compliance: ComplexArray  # (k, 3, 3) m/N, force on the carriages to their position
-    drive: ComplexArray  # (k,) N/m, command to force: (c s + k) G_e
-    j: FloatArray  # (3, 3)
-    gamma: FloatArray  # (3, 3)
-
-    def response(self, measured: FrequencyResponse) -> ComplexArray:
-        left = self._carriages_of(measured.output.split("_", 1)[1])
-        right, factor = self._force_of(measured)
-        return np.asarray(np.einsum("i,kij,j->k", left, self.compliance, right) * factor)
-
-    def _carriages_of(self, name: str) -> FloatArray:
-        """Row that makes the output of the carriages' positions."""
-        return np.eye(3)[CARRIAGES.index(name)] if name in CARRIAGES else self.j[AXES.index(name)]
-
-    def _force_of(self, measured: FrequencyResponse) -> tuple[FloatArray, ComplexArray | float]:
-        """Column of forces on the carriages, and what it is multiplied by."""
-        kind, _, name = measured.input.partition("_")
-        if kind == "cmd":
-            to_carriages = np.eye(3) if name in CARRIAGES else np.linalg.inv(self.j)
-            return np.asarray(to_carriages[:, (CARRIAGES + AXES).index(name) % 3]), self.drive
-        if name in AXES:
-            return self.gamma[:, AXES.index(name)], 1.0
-        _refuse(measured, f"There is no input {measured.input!r}; there are cmd_A, cmd_x, force_x and their like.")
-
-
-def _assembly(machine: Machine, xy: FloatArray, s: ComplexArray) -> _Assembly:
-    model, here = delta_vibration(machine), machine.kinematics.jacobian(xy[None])
-    j, gamma = here[0], model.load_map(here)[0]
-    stiffness = (gamma * model.effector_impedance(s)[:, None, :]) @ j + model.carriage_impedance(xy, s)
-    drive = belt(model.carriage, s) * drive_frf(model.carriage.drive, s)
-    return _Assembly(np.linalg.inv(stiffness), drive, j, gamma)
+def _assembled(machine: Machine, response: FrequencyResponse, known: _Known) -> ComplexArray:
+    """Predict the whole printer at one place: G of Eq. 29 of a command, Z⁻¹ Γ of a force on the nozzle."""
+    kind, _, name = response.input.partition("_")
+    if kind != "cmd" and name not in AXES:
+        _refuse(response, f"There is no input {response.input!r}; there are cmd_A, cmd_x, force_x and their like.")
+    xy = np.array((response.position_mm or (0.0, 0.0))[:2])
+    place = (kind, *xy.tolist(), response.frequency_hz.tobytes())
+    if place not in known:
+        of_kind = machine.vibration.carriage_response if kind == "cmd" else delta_vibration(machine).receptance
+        known[place] = of_kind(xy, response.s)
+    j, output = machine.vibration.jacobian(xy[None])[0], response.output[-1]
+    if kind == "cmd":
+        to_carriages = np.eye(3) if name in CARRIAGES else np.linalg.inv(j)
+    else:
+        to_carriages = delta_vibration(machine).load_map(j[None])[0]
+    left = np.eye(3)[CARRIAGES.index(output)] if output in CARRIAGES else j[AXES.index(output)]
+    return np.asarray(left @ known[place] @ to_carriages[:, (CARRIAGES + AXES).index(name) % 3])
 
 
 def _refuse(response: FrequencyResponse, rule: str) -> NoReturn:

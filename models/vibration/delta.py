@@ -148,11 +148,6 @@ class DeltaVibration(VibrationModel):
         both = rise[:, :, None] + rise[:, None, :]
         return np.asarray(self.carriage.arm_inertia_kg * (3 * j.transpose(0, 2, 1) @ j - both + np.eye(3)))
 
-    def carriage_impedance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
-        """Return Z without the effector, carriages and mass along the arms: (k, 3, 3) N/m at (2,) mm and s (k,) 1/s."""
-        arms = self.arm_inertia(self.kinematics.jacobian(xy[None]))
-        return np.asarray(sub.impedance(self.carriage, s)[:, None, None] * np.eye(3) - s[:, None, None] ** 2 * arms)
-
     def equations(self, xy: FloatArray) -> EquationsOfMotion:
         """Return M, C and K at positions (n, 2) mm."""
         carriage, effector = self.carriage, self.effector

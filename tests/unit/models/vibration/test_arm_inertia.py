@@ -58,12 +58,3 @@ def test_the_motion_of_the_path_pushes_as_the_rods_do(printer: Machine) -> None:
     )
     expected = -np.linalg.solve(eq.mass, pushed)
     np.testing.assert_allclose(space.b_centripetal[:, 9:12], expected[:, :3], rtol=1e-9, atol=1e-12)
-
-
-def test_the_impedance_of_the_identification_is_that_of_the_equations(printer: Machine) -> None:
-    vibration = delta_vibration(with_share(printer, 0.3))
-    s = 2j * np.pi * np.array([5.0, 40.0, 90.0])
-    for xy in PLACES:
-        j = vibration.jacobian(xy[None])[0]
-        z = vibration.carriage_impedance(xy, s) + j.T @ (vibration.effector_impedance(s)[:, :, None] * j)
-        np.testing.assert_allclose(np.linalg.inv(z), vibration.receptance(xy, s), rtol=1e-9)
