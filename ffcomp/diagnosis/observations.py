@@ -8,7 +8,7 @@ winner is then fitted to everything. Of many motions a few do, too, if they are 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
@@ -69,13 +69,17 @@ def observation_of(machine: Machine, recording: Recording, command: FloatArray) 
     every = every_row(recording)
     sensors = (*recording.acceleration.values(), *recording.position.values())
     values = [_thinned(x, every)[: len(command)] for x in sensors]
-    nozzle = machine.kinematics.forward(command)
-    position = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
-    rate = recording.sample_rate_hz / every
-    moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
+    moving, rate = parts_of(machine, command), recording.sample_rate_hz / every
+    middle = ((np.min(moving[axis]) + np.max(moving[axis])) / 2 for axis in "xy")
+    position = tuple(float(5 * round(x / 5)) for x in middle)
     speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
     measured, clocks = np.stack(values, axis=1), recording.clocks_of(signals)
     return Observation(recording.source, recording.repeat_of, position, rate, signals, measured, speed, clocks)
+
+
+def parts_of(machine: Machine, command: FloatArray) -> dict[str, FloatArray]:
+    """Return where a command (n, 3) mm has each carriage, A B C, and the nozzle, x y z: (n,) mm each."""
+    return dict(zip("ABCxyz", np.hstack([command, machine.kinematics.forward(command)]).T, strict=True))
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:
@@ -130,30 +134,21 @@ def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
         raise MeasurementError(recording.source, command_unit(recording.command, recording.inputs) or [problem])
     problems = misplaced(
         {**recording.acceleration, **recording.position},
-        _expected(carriages, nozzle, recording),
+        _expected(parts_of(machine, carriages), recording.sample_rate_hz),
         recording.sample_rate_hz,
     )
-    problems = _wrong_nozzle_scale(recording, nozzle) or problems
+    if recording.command_space == "carriage":  # else the reader has checked the nozzle's sensors against its path
+        of_nozzle = {name: x for name, x in recording.acceleration.items() if name[-1] in "xyz"}
+        problems = wrong_scale(nozzle, ("cmd_x", "cmd_y", "cmd_z"), of_nozzle, recording.sample_rate_hz) or problems
     if problems:
         raise MeasurementError(recording.source, problems)
     return carriages
 
 
-def _wrong_nozzle_scale(recording: Recording, nozzle: FloatArray) -> list[str]:
-    """Check the nozzle's sensors against its path, which only a machine knows where carriages are commanded."""
-    if recording.command_space == "nozzle":
-        return []  # the reader has done it
-    nozzle_signals = {name: x for name, x in recording.acceleration.items() if name[-1] in "xyz"}
-    return wrong_scale(nozzle, ("cmd_x", "cmd_y", "cmd_z"), nozzle_signals, recording.sample_rate_hz)
-
-
-def _expected(carriages: FloatArray, nozzle: FloatArray, recording: Recording) -> dict[str, FloatArray]:
+def _expected(parts: Mapping[str, FloatArray], rate_hz: float) -> dict[str, FloatArray]:
     """Compute every sensor signal of a printer that follows its command exactly; m/s² and mm."""
-    moving = dict(zip("ABCxyz", np.hstack([carriages, nozzle]).T, strict=True))
-    accelerations = {
-        f"acc_{axis}": np.pad(np.diff(x * 1e-3, 2) * recording.sample_rate_hz**2, 1) for axis, x in moving.items()
-    }
-    return accelerations | {f"pos_{axis}": x for axis, x in moving.items()}
+    accelerations = {f"acc_{name}": np.pad(np.diff(x * 1e-3, 2) * rate_hz**2, 1) for name, x in parts.items()}
+    return accelerations | {f"pos_{name}": x for name, x in parts.items()}
 
 
 def _outside(machine: Machine, recording: Recording, nozzle: FloatArray) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from itertools import groupby, product
-from typing import TypeVar
+from itertools import chain, groupby, product
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from ffcomp.diagnosis.observations import (
     informative_recordings,
     led_in,
     observation_of,
+    parts_of,
 )
 from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import (
@@ -51,9 +51,8 @@ KEPT, AT_ONCE = 4, 24  # machines whose motions are held
 WORKERS = min(8, os.cpu_count() or 1)
 
 STRAIGHT = ("axis X", "axis Y", "axis Z")
-_Pack = TypeVar("_Pack")
-_Answer = TypeVar("_Answer")
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
+_Motions = dict[int, PrinterMotion]
 
 
 class PrinterProblem(Problem):
@@ -82,7 +81,7 @@ class PrinterProblem(Problem):
             next(k for k in range(i + 1) if np.array_equal(self.commands[k], command))
             for i, command in enumerate(self.commands)
         ]
-        self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
+        self.kept: dict[_Key, _Motions | InfeasibleParameters] = {}
         self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
         self.whole, self.chosen = self, tuple(range(len(recordings)))  # what this is a part of, and which recordings
         self.splines = Splines()
@@ -158,7 +157,7 @@ class PrinterProblem(Problem):
 
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
-    ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
+    ) -> list[_Motions | InfeasibleParameters]:
         """Simulate motions by index of the recording; the last few are kept, for sensor effects need no new motion."""
         plain = [
             {name: x for name, x in values.items() if not (_is_sensor(name) or belongs_to_recording(name))}
@@ -166,23 +165,24 @@ class PrinterProblem(Problem):
         ]
         keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
         new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
-        known: dict[_Key, dict[int, PrinterMotion] | InfeasibleParameters] = {
-            k: self.kept[k] for k in keys if k in self.kept
-        }
-        known |= dict(zip(new, self._simulated(list(new.values()), needed, coarse), strict=True))
-        answers = [known[key] for key in keys]
-        fresh = {key: motions for key, motions in known.items() if not isinstance(motions, InfeasibleParameters)}
-        self.kept = dict([*self.kept.items(), *fresh.items()][-KEPT:])
-        return answers
+        known = self.kept | dict(zip(new, self._simulated(list(new.values()), needed, coarse), strict=True))
+        feasible = [each for each in known.items() if not isinstance(each[1], InfeasibleParameters)]
+        self.kept = dict(feasible[-KEPT:])
+        return [known[key] for key in keys]
 
     def _simulated(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
-    ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
-        """Simulate on every core, in SIMD lanes what takes equal steps."""
-        converted = [_converted(self.machine_with(values)) for values in many]
-        printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
+    ) -> list[_Motions | InfeasibleParameters]:
+        """Simulate on every core, in SIMD lanes what takes equal steps; one infeasible recording makes all so."""
+        motions: list[_Motions | InfeasibleParameters] = [{} for _ in many]
+        printers = dict[int, ConvertedPrinter]()
+        for n, machine in enumerate(map(self.machine_with, many)):
+            try:
+                printers[n] = converted_printer(machine)
+            except ValueError as error:  # arms may be too short for the bed
+                motions[n] = InfeasibleParameters(str(error))
         longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
-        by_steps: dict[_Steps, list[tuple[int, int]]] = {}
+        by_steps: dict[tuple[float, int], list[tuple[int, int]]] = {}
 
         def rows_of(i: int) -> int:
             return len(self.commands[i])
@@ -191,34 +191,35 @@ class PrinterProblem(Problem):
         for _, alike in groupby(sorted(needed, key=rows_of), rows_of):
             for (n, step_s), i in product(longest.items(), list(alike)):
                 by_steps.setdefault(_steps(step_s, self.observations[i].rate_hz), []).append((n, i))
-        self.work.add(
-            sum(steps.substeps * len(self.commands[i]) for steps, tasks in by_steps.items() for _, i in tasks)
-        )
+        self.work.add(sum(substeps * rows_of(i) for (_, substeps), tasks in by_steps.items() for _, i in tasks))
         packs = [
             (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
         ]
 
-        def simulate(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
-            steps, tasks = pack
+        def simulate(
+            pack: tuple[tuple[float, int], Sequence[tuple[int, int]]],
+        ) -> Sequence[PrinterMotion | ValueError]:
+            (row_s, substeps), tasks = pack
             commands = [self.commands[i] for _, i in tasks]
             return simulate_printers(
-                [printers[n] for n, _ in tasks], commands, steps.row_s, substeps=steps.substeps, splines=self.splines
+                [printers[n] for n, _ in tasks], commands, row_s, substeps=substeps, splines=self.splines
             )
 
-        motions: list[dict[int, PrinterMotion | ValueError]] = [
-            {-1: each} if isinstance(each, ValueError) else {} for each in converted
-        ]
-        for (_, tasks), results in zip(packs, _each(simulate, packs), strict=True):
-            for (n, i), motion in zip(tasks, results, strict=True):
-                motions[n][i] = motion
-        return [_whole(by_run) for by_run in motions]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            results = list(pool.map(simulate, packs))
+        for (n, i), motion in zip(
+            (task for _, tasks in packs for task in tasks), chain.from_iterable(results), strict=True
+        ):
+            if isinstance(motion, ValueError):
+                motions[n] = InfeasibleParameters(str(motion))
+            elif not isinstance(of_printer := motions[n], InfeasibleParameters):
+                of_printer[i] = motion
+        return motions
 
     def moved(self, i: int) -> Mapping[str, FloatArray]:
         """Return commanded position, speed and acceleration of the part each signal is measured on, (n, m) each."""
         o, led = self.observations[i], self.commands[i]
-        command = led[self.parts[i].compared(len(led))]
-        nozzle = self.machine.kinematics.forward(command)
-        parts = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
+        parts = parts_of(self.machine, led[self.parts[i].compared(len(led))])
         place = np.stack([parts[signal[4:]] for signal in o.signals], axis=1)
         return {"pos": place, "vel": o.speed, "acc": 1e-3 * np.gradient(o.speed, 1 / o.rate_hz, axis=0)}
 
@@ -233,26 +234,10 @@ class PrinterProblem(Problem):
         return replace(machine, effects={**machine.effects, **effect_tables(values)})
 
 
-def _each(function: Callable[[_Pack], _Answer], packs: Sequence[_Pack]) -> list[_Answer]:
-    """Apply a function to all packs on every core; a single one needs no thread of its own."""
-    if len(packs) < 2:
-        return [function(pack) for pack in packs]
-    with ThreadPoolExecutor(WORKERS) as pool:
-        return list(pool.map(function, packs))
-
-
 @lru_cache(maxsize=4096)
 def _is_sensor(name: str) -> bool:
     match = EFFECT_KEY.fullmatch(name)
     return match is not None and CATALOGUE[match["effect"]].kind == "sensor"
-
-
-@dataclass(frozen=True)
-class _Steps:
-    """Integration steps of a recording."""
-
-    row_s: float
-    substeps: int
 
 
 def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
@@ -262,26 +247,10 @@ def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
     return max(longest, COARSE_KINKED_STEP_S) if coarse else longest
 
 
-def _steps(longest: float, rate_hz: float) -> _Steps:
-    """Return the steps of a recording; rates that differ only by rounded times share the lanes."""
+def _steps(longest: float, rate_hz: float) -> tuple[float, int]:
+    """Return a recording's row, s, and steps in each; rates that differ only by rounded times share the lanes."""
     rate_hz = round(rate_hz, 5)  # beyond are 20 ns in three seconds
-    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / 1.03))  # a little longer where that saves one a row
-
-
-def _converted(machine: Machine) -> ConvertedPrinter | ValueError:
-    """Return the printer's numbers, or why there is no such printer: its arms may be too short for its bed."""
-    try:
-        return converted_printer(machine)
-    except ValueError as error:
-        return error
-
-
-def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | InfeasibleParameters:
-    """Return the motions, or the first error: one infeasible recording makes the parameters infeasible."""
-    failed = [m for m in motions.values() if isinstance(m, ValueError)]
-    if failed:
-        return InfeasibleParameters(str(failed[0]))
-    return {i: m for i, m in motions.items() if isinstance(m, PrinterMotion)}
+    return 1 / rate_hz, math.ceil(1 / rate_hz / longest / 1.03)  # a little longer where that saves one a row
 
 
 # ---- signals ---------------------------------------------------------------------------------------
