@@ -29,41 +29,33 @@ NOISE = 1e-6  # of a signal: less is not resolved
 LOWEST, HIGHEST = 1e-3, 1e3  # times the file's value
 
 
-@dataclass(frozen=True, eq=False)
-class AxisFitted:
-    """The numbers of an axis with their uncertainties, and the signals' residual."""
-
-    estimates: Mapping[str, Estimate]
-    before: float  # rms of the error over that of the signals' own motion
-    after: float
-    doubt: tuple[str, ...] = ()  # a sentence if the fit has not converged
-
-
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class OneAxisFit(MachineFit):
     """The numbers of an axis by itself."""
 
     method = "axis"
     json_keys = MachineFit.json_keys | {
-        "numbers": "result.estimates",
+        "numbers": "estimates",
         "kept": "kept",
-        "nrms.before": "result.before",
-        "nrms.after": "result.after",
+        "nrms.before": "before",
+        "nrms.after": "after",
     }
 
-    result: AxisFitted
+    estimates: Mapping[str, Estimate]
+    before: float  # rms of the error over that of the signals' own motion
+    after: float
     kept: Sequence[str]  # numbers that no run determines
 
     @property
     def headline(self) -> str:
         """How well the axis is simulated now, and was before."""
-        before, after = 100 * self.result.before, 100 * self.result.after
+        after, before = 100 * self.after, 100 * self.before
         return f"The simulation's error is {after:.2g} % of the motion; with the starting file {before:.2g} %."
 
     @property
     def found(self) -> list[Fact]:
         """Every parameter."""
-        return number_facts(self.result.estimates)
+        return number_facts(self.estimates)
 
     @property
     def next_steps(self) -> list[str]:
@@ -78,7 +70,7 @@ def fit_axis(
     name: str,
     progress: Callable[[str], None] = lambda _: None,
 ) -> OneAxisFit:
-    """Fit the axis' numbers to runs; its effects stay as the file has them.
+    """Fit the axis' numbers to files of runs; its effects stay as the file has them.
 
     Raises
     ------
@@ -86,47 +78,51 @@ def fit_axis(
     """
     runs = [read_axis_run(path, driven_axis(start).input) for path in data]
     progress(Stage(2, f"fitting {start.name} to {len(runs)} runs"))
-    result = fitted_axis(start, runs, known)
-    hashes = [hash_of(path) for path in data]
-    origin = Origin(Path(start.path), name, hashes, date.today().isoformat())
-    kept = kept_of(start, known)
-    return OneAxisFit(
-        start=start,
-        data=hashes,
-        name=name,
-        text=origin.text_of(result.estimates, "fit", nrms=result.after) if start.path else "",
-        advice=[
-            *result.doubt,
-            *(f"{key} is unchanged: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
-        ],
-        result=result,
-        kept=kept,
-    )
+    return fit_runs(start, runs, known, name, [hash_of(path) for path in data])
 
 
-def kept_of(start: Machine, known: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the numbers that no run determines: where a position drives, all may grow in proportion."""
-    return [] if driven_axis(start).by_force or known else [MASS]
+def fit_runs(
+    start: Machine,
+    runs: Sequence[AxisRun],
+    known: Mapping[str, tuple[float, float]],
+    name: str = "",
+    hashes: Sequence[str] = (),
+) -> OneAxisFit:
+    """Fit by least squares; known numbers are measurements like any other.
 
-
-def fitted_axis(start: Machine, runs: Sequence[AxisRun], known: Mapping[str, tuple[float, float]]) -> AxisFitted:
-    """Fit by least squares; known numbers are measurements like any other."""
+    Where a position drives, all numbers may grow in proportion, so the mass is kept unless one of them is known.
+    """
     shots = shots_of(start, runs)
     names = [*start.vibration.tunable, *([OFFSET] if driven_axis(start).by_force else [])]
     unknown = [key for key in known if key not in names]
     if unknown:
         raise RequestError(f"--known {unknown[0]}: this axis has {', '.join(names)}.")
-    problem = _Problem(start, shots, [n for n in names if n not in kept_of(start, known)], known)
+    kept = [] if driven_axis(start).by_force or known else [MASS]
+    problem = _Problem(start, shots, [n for n in names if n not in kept], known)
     first = np.array([value_of(start, n) for n in problem.names]) / problem.scale
     found = fit(problem, first, FINAL)
     sd = np.sqrt(np.diag(found.covariance)) * problem.scale
     each = zip(problem.names, (found.values * problem.scale).tolist(), sd.tolist(), strict=True)
-    estimates = {name: normal(value, spread) for name, value, spread in each}
+    estimates = {key: normal(value, spread) for key, value, spread in each}
     before, after = (
         float(np.sqrt(np.mean(simulated[: -len(known) or None] ** 2)))
         for simulated in (problem.measured - each for each in problem.simulate([first, found.values]))
     )
-    return AxisFitted(estimates, before, after, tuple(found.doubt(start.name)))
+    origin = Origin(Path(start.path), name, hashes, date.today().isoformat())
+    return OneAxisFit(
+        start=start,
+        data=hashes,
+        name=name,
+        text=origin.text_of(estimates, "fit", nrms=after) if start.path else "",
+        advice=[
+            *found.doubt(start.name),
+            *(f"{key} is unchanged: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
+        ],
+        estimates=estimates,
+        before=before,
+        after=after,
+        kept=kept,
+    )
 
 
 class _Problem(EstimationProblem):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import RequestError
-from ffcomp.identification.axis_fit import fitted_axis
+from ffcomp.identification.axis_fit import fit_runs
 from ffcomp.identification.fitting import fit_files
 from ffcomp.identification.request import FitRequest
 from ffcomp.measurement.axis_run import AxisRun
@@ -42,7 +42,7 @@ def test_the_numbers_come_back(true: DrivenAxis) -> None:
     keys = ("mass_kg",) if true.by_force else ()  # where a position drives, only ratios to the mass show
     wrong = {n: 1.2 * getattr(true, n) for n in (*keys, "stiffness_n_per_m", "damping_n_s_per_m")}
     start = machine_of_axis("start", replace(true, **wrong, offset_n=0.0))
-    found = fitted_axis(start, [run_of(true)], {})
+    found = fit_runs(start, [run_of(true)], {})
     assert found.after < 0.2 * found.before
     for name, e in found.estimates.items():
         truth = getattr(true, name.removeprefix("axis."))
@@ -52,10 +52,10 @@ def test_the_numbers_come_back(true: DrivenAxis) -> None:
 
 def test_what_is_known_is_believed_as_far_as_its_uncertainty() -> None:
     start = machine_of_axis("start", FREE)
-    found = fitted_axis(start, [run_of(FREE)], {"axis.mass_kg": (9.0, 1e-6)})
+    found = fit_runs(start, [run_of(FREE)], {"axis.mass_kg": (9.0, 1e-6)})
     assert found.estimates["axis.mass_kg"].value == pytest.approx(9.0, abs=1e-3)
     with pytest.raises(RequestError, match=r"axis\.mass_kg"):
-        fitted_axis(start, [run_of(FREE)], {"effector.total_mass_kg": (1.0, 0.1)})
+        fit_runs(start, [run_of(FREE)], {"effector.total_mass_kg": (1.0, 0.1)})
 
 
 def test_a_fitted_file_is_a_machine_file(tmp_path: Path) -> None:
