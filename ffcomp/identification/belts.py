@@ -12,7 +12,7 @@ uses the power of all the sensor's axes together, which does not depend on how i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE
-from ffcomp.identification.resonance_tests import BeltTest
+from ffcomp.identification.resonance_tests import BeltTest, direction_name
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
 from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
@@ -61,20 +61,15 @@ class BeltComparison:
     json_keys: ClassVar = keys("kind", "sentence", "relative_stiffness", "modes_hz", "damping_ratio", tests="explained")
 
     kind: str  # "belt" or "tower"
-    names: tuple[str, ...]  # of belts, their direction: 1,-1; of towers, A B C
     rows: FloatArray  # (m, 2) motion of each motor or carriage by x and y
-    stiffness: tuple[Estimate, ...]  # of each, relative to the mean of the others: -0.08 is 8 % softer
+    # of each, against the mean of the others: -0.08 is 8 % softer; by a belt's direction, 1,-1, or a tower's name
+    relative_stiffness: Mapping[str, Estimate]
     modes_hz: tuple[Estimate, Estimate]  # the lower one first
     damping_ratio: tuple[float, float]
     tests: tuple[BeltTest, ...]
     fitted: tuple[FloatArray, ...]  # (k,) of each test, in the units of the measurement
     errors: tuple[float, ...]  # of each test, the model's own
     sentence: str
-
-    @property
-    def relative_stiffness(self) -> dict[str, Estimate]:
-        """The stiffness of each, by name."""
-        return dict(zip(self.names, self.stiffness, strict=True))
 
     @property
     def explained(self) -> list[ExplainedTest]:
@@ -86,7 +81,7 @@ class BeltComparison:
 
     def nearest(self, test: BeltTest) -> str:
         """Return the name of the belt that a test is along."""
-        return self.names[int(np.argmax(np.abs(self.rows @ test.direction)))]
+        return list(self.relative_stiffness)[int(np.argmax(np.abs(self.rows @ test.direction)))]
 
 
 def compare_belts(machine: Machine, tests: Sequence[BeltTest]) -> BeltComparison:
@@ -170,33 +165,25 @@ class _Problem(EstimationProblem):
 
 def _problem(machine: Machine, tests: Sequence[BeltTest]) -> _Problem:
     deltas = machine.vibration.position_dependent
+    kind = "tower" if deltas else "belt"
     places = [test.position_mm[:2] for test in tests if test.position_mm is not None]
     place = np.mean(places, axis=0) if places and deltas else np.zeros(2)
     if deltas:
         rows = np.linalg.inv(machine.kinematics.jacobian(place[None])[0])[:, :2]
-        names = tuple("ABC")
     else:
         rows = machine.kinematics.motors[:2, :2]
-        names = tuple(_direction_name(row) for row in rows)
-    _check(tests, rows, names, "tower" if deltas else "belt")
-    return _Problem("tower" if deltas else "belt", names, rows, not deltas, tuple(tests))
-
-
-def _direction_name(row: FloatArray) -> str:
-    return ",".join(f"{round(c, 3) + 0.0:g}" for c in row)
-
-
-def _check(tests: Sequence[BeltTest], rows: FloatArray, names: Sequence[str], kind: str) -> None:
-    if np.count_nonzero(np.abs(rows[0]) > 1e-9) == 1 and kind == "belt":
-        rule = "On this machine a motor moves x or y alone: test AXIS=X and AXIS=Y"
-        raise MeasurementError(tests[0].spectrum.source, [f"It was excited along a diagonal. {rule}."])
+        if np.count_nonzero(np.abs(rows[0]) > 1e-9) == 1:
+            rule = "On this machine a motor moves x or y alone: test AXIS=X and AXIS=Y"
+            raise MeasurementError(tests[0].spectrum.source, [f"It was excited along a diagonal. {rule}."])
     towards = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    names = tuple("ABC" if deltas else map(direction_name, towards))
     for name, row in zip(names, towards, strict=True):
         if not any(abs(float(row @ test.direction)) > SAME_DIRECTION for test in tests):
             listed = ", ".join(f"{t.spectrum.source} ({t.axis})" for t in tests)
-            axes = " and ".join(f"AXIS={_direction_name(other)}" for other in (rows if kind == "belt" else towards))
+            axes = " and ".join(f"AXIS={direction_name(other)}" for other in towards)
             rule = f"There is no test along {kind} {name}, so there is nothing to compare"
             raise MeasurementError(listed, [f"{rule}. Run TEST_RESONANCES OUTPUT=raw_data with {axes}."])
+    return _Problem(kind, names, rows, not deltas, tuple(tests))
 
 
 def _starts(problem: _Problem) -> list[FloatArray]:
@@ -222,13 +209,12 @@ def _result(problem: _Problem, found: FitResult[_Problem]) -> BeltComparison:
     frequency, _ = problem.modes(theta)
     damping = np.exp(theta[2:4])
     _check_resonance(problem, float(frequency.mean()), float(damping.mean()), errors)
-    stiffness = tuple(_relative(problem, theta, covariance, i) for i in range(len(problem.rows)))
+    stiffness = {name: _relative(problem, theta, covariance, i) for i, name in enumerate(problem.names)}
     sd = [float(np.sqrt(covariance[0, 0])) * f for f in frequency]
     return BeltComparison(
         kind=problem.kind,
-        names=problem.names,
         rows=problem.rows,
-        stiffness=stiffness,
+        relative_stiffness=stiffness,
         modes_hz=(normal(float(frequency[0]), sd[0]), normal(float(frequency[1]), sd[1])),
         damping_ratio=(float(damping[0]), float(damping[1])),
         tests=tests,
@@ -262,25 +248,16 @@ def _relative(problem: _Problem, theta: FloatArray, covariance: FloatArray, numb
     return normal(float(np.expm1(slope @ theta[free])), sd)
 
 
-def _sentence(problem: _Problem, stiffness: Sequence[Estimate]) -> str:
+def _sentence(problem: _Problem, stiffness: Mapping[str, Estimate]) -> str:
     pair = problem.kind == "belt"
-    furthest = int(np.argmin([e.value for e in stiffness]) if pair else np.argmax([abs(e.value) for e in stiffness]))
-    e = stiffness[furthest]
+    name, e = max(stiffness.items(), key=lambda each: -each[1].value if pair else abs(each[1].value))
     half = NINETY_PERCENT * e.sd
-    who = _who(problem, furthest)
     if abs(e.value) < max(ALIKE, half):
         what = "The two belts are" if pair else "The three towers' belts are"
         return f"{what} alike within ± {100 * max(ALIKE, abs(e.value) + half):.0f} %."
-    word = "softer" if e.value < 0 else "stiffer"
+    who, others = (f"The belt of axis={name}", "one") if pair else (f"Tower {name}'s belt", "two")
     low, high = sorted(100 * abs(bound) for bound in (e.low, e.high))
-    others = "the other one" if pair else "the other two"
     return (
-        f"{who} is {100 * abs(e.value):.0f} % {word} than {others} (90 %: {low:.0f} to {high:.0f} %). Check its "
-        "tension, its pulleys' screws and its clamps, and test again."
+        f"{who} is {100 * abs(e.value):.0f} % {'softer' if e.value < 0 else 'stiffer'} than the other {others} (90 %: "
+        f"{low:.0f} to {high:.0f} %). Check its tension, its pulleys' screws and its clamps, and test again."
     )
-
-
-def _who(problem: _Problem, number: int) -> str:
-    if problem.kind == "tower":
-        return f"Tower {problem.names[number]}'s belt"
-    return f"The belt of axis={problem.names[number]}"

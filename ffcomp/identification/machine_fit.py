@@ -264,7 +264,7 @@ def _axis_facts(axis: AxisFit) -> Iterator[Fact]:
 def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
     """Yield the finding, each belt against the others, and how well each test is explained."""
     yield "Belts", belts.sentence
-    for name, e in zip(belts.names, belts.stiffness, strict=True):
+    for name, e in belts.relative_stiffness.items():
         what = f"tower {name}" if belts.kind == "tower" else f"belt of axis={name}"
         interval = f"90 %: {100 * e.low:+.0f} to {100 * e.high:+.0f} %"
         yield what, f"{100 * e.value:+.1f} % ({interval}) against the mean of the others"

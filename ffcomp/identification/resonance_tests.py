@@ -35,10 +35,15 @@ class BeltTest:
 
     @property
     def axis(self) -> str:
-        """The direction as people give it to the firmware, up to a factor."""
-        x, y = (float(c) for c in self.direction)
-        scale = abs(x) if abs(abs(x) - abs(y)) < 1e-3 else 1.0
-        return ",".join(f"{round(c / scale, 3) + 0.0:g}" for c in (x, y))
+        """The direction as people give it to the firmware."""
+        return direction_name(self.direction)
+
+
+def direction_name(direction: FloatArray) -> str:
+    """Return a unit vector (2,) as people give it to the firmware, up to a factor: 1,-1 or 0.866,-0.5."""
+    x, y = direction.tolist()
+    scale = abs(x) if abs(abs(x) - abs(y)) < 1e-3 else 1.0
+    return ",".join(f"{round(c / scale, 3) + 0.0:g}" for c in (x, y))
 
 
 def no_test(test: TestFile) -> str:

@@ -81,7 +81,7 @@ def belts(stiffness: Sequence[float], ratio: float) -> BeltComparison:
 
 def test_the_softer_belt_of_a_corexy_is_named() -> None:
     found = belts([1.0, 0.88], 1.3)
-    softer = found.stiffness[1]
+    softer = found.relative_stiffness["1,-1"]
     assert softer.low < -0.12 < softer.high and softer.sd < 0.05
     assert found.sentence.startswith("The belt of axis=1,-1 is ") and "softer than the other one" in found.sentence
     true = np.sqrt(np.linalg.eigvals(SPRING * (BELTS.T * [1.0, 0.88]) @ BELTS / MASS_KG / [[1.0], [1.3]]))
@@ -91,7 +91,7 @@ def test_the_softer_belt_of_a_corexy_is_named() -> None:
 def test_a_soft_tower_is_named_and_drawn() -> None:
     tests = [test_of(TOWERS, [1.0, 0.9, 1.0], 1.0, row, n) for n, row in enumerate(TOWERS)]
     found = compare_belts(DELTA, tests)
-    assert found.stiffness[1].low < -0.10 < found.stiffness[1].high
+    assert found.relative_stiffness["B"].low < -0.10 < found.relative_stiffness["B"].high
     assert found.sentence.startswith("Tower B's belt is ") and "softer than the other two" in found.sentence
     axes = belts_figure(found, "mine").axes[0]
     assert axes.get_xlabel() == "frequency, Hz" and len(axes.get_legend().get_texts()) == 4
