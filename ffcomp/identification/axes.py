@@ -187,7 +187,18 @@ def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Excha
         return None
     pairs = [_crossed(fitted, answers, each) for each in answers if each.axis in "xy" and not each.direct]
     crossed = [pair for pair in pairs if pair is not None]
-    return _fitted(crossed) if crossed else None
+    if not crossed:
+        return None
+    problem = _Exchanging(crossed)
+    found = fit(problem, np.zeros(len(problem.unknowns)), FitSettings(rounds=5))
+    delta = normal(float(found.values[0]), float(np.sqrt(found.covariance[0, 0])))
+    left = direct = 0.0
+    for pair, error in zip(crossed, np.split(found.residual * found.sd, problem.ends[:-1]), strict=True):
+        power = np.sum(error.reshape(2, -1) ** 2, axis=0)
+        left += float(np.sum(np.maximum(power - pair.measured.variance, 0)))
+        direct += float(np.sum(np.abs(pair.turned) ** 2))
+    turns = dict(zip([u.name for u in problem.unknowns[1:]], found.values[1:].tolist(), strict=True))
+    return Exchange(delta, turns, float(np.sqrt(left / direct)), tuple(found.doubt("what x and y exchange")))
 
 
 def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: Response) -> _Crossed | None:
@@ -222,17 +233,3 @@ def _sign(axis: AxisFit, modes: FloatArray) -> float:
     """Return −1 where the sensor feels the axis the other way round, as on a moving bed."""
     seen = (float(datum.begin(modes)[0]) for datum in axis.data if isinstance(datum, Response))
     return float(np.sign(next(seen, 1.0)))
-
-
-def _fitted(pairs: Sequence[_Crossed]) -> Exchange:
-    """Fit δ and every κ, and compare the crossed responses' residual beyond noise with the direct ones."""
-    problem = _Exchanging(pairs)
-    found = fit(problem, np.zeros(len(problem.unknowns)), FitSettings(rounds=5))
-    delta = normal(float(found.values[0]), float(np.sqrt(found.covariance[0, 0])))
-    left = direct = 0.0
-    for pair, error in zip(pairs, np.split(found.residual * found.sd, problem.ends[:-1]), strict=True):
-        power = np.sum(error.reshape(2, -1) ** 2, axis=0)
-        left += float(np.sum(np.maximum(power - pair.measured.variance, 0)))
-        direct += float(np.sum(np.abs(pair.turned) ** 2))
-    turns = dict(zip([u.name for u in problem.unknowns[1:]], found.values[1:].tolist(), strict=True))
-    return Exchange(delta, turns, float(np.sqrt(left / direct)), tuple(found.doubt("what x and y exchange")))

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
@@ -143,13 +144,10 @@ class _Problem(EstimationProblem):
                 yield np.concatenate([d.rows(modes, each) for d, each in zip(self.data, nuisances, strict=True)])
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        modes, nuisances, blocks = self.modes(values), self.nuisances(values), []
-        for i, (datum, each) in enumerate(zip(self.data, nuisances, strict=True)):
-            slopes, own = datum.slopes(modes, each), self.of_modes + 2 * i
-            block = np.zeros((len(slopes), len(values)))
-            block[:, : self.of_modes], block[:, own : own + 2] = slopes[:, : self.of_modes], slopes[:, self.of_modes :]
-            blocks.append(block)
-        return np.concatenate(blocks)
+        modes, nuisances = self.modes(values), self.nuisances(values)
+        each = [datum.slopes(modes, own) for datum, own in zip(self.data, nuisances, strict=True)]
+        of_modes, of_data = zip(*(np.split(slopes, [self.of_modes], axis=1) for slopes in each), strict=True)
+        return np.hstack([np.vstack(of_modes), block_diag(*of_data)])
 
 
 _Fit = FitResult[_Problem]
@@ -321,22 +319,18 @@ def _with_scatter(name: str, modes: tuple[AxisMode, ...], found: _Fit) -> tuple[
     data = found.problem.data
     if len(data) < 2:
         return modes, []
-    main, files = modes[0].frequency_hz, len(data)
-    alone = [_main_frequency([datum], found) for datum in data]
-    scatter = float(np.std(np.log(alone), ddof=1)) / np.sqrt(files)
+    main, alone = modes[0].frequency_hz, list[float]()
+    for datum in data:
+        problem = _Problem([datum], found.problem.count)
+        begin = problem.begin(found.values[: problem.of_modes])
+        alone.append(float(_main(fit(problem, begin, errors=np.array([COARSE])))[0]))
+    scatter = float(np.std(np.log(alone), ddof=1)) / np.sqrt(len(data))
     sure = lognormal(main.value, max(main.relative_sd, scatter))
     advice = []
     if max(alone) / min(alone) - 1 > APART:
         listed = ", ".join(f"{f:.1f} Hz in {Path(d.source).name}" for f, d in zip(alone, data, strict=True))
         advice = [f"The files disagree about {name}: {listed}. Was it the same machine, at one position?"]
     return (replace(modes[0], frequency_hz=sure), *modes[1:]), advice
-
-
-def _main_frequency(data: Sequence[Datum], found: _Fit) -> float:
-    """Return the frequency of the mode with the largest share, fitted to one file by itself, Hz."""
-    problem = _Problem(data, found.problem.count)
-    begin = problem.begin(found.values[: problem.of_modes])
-    return float(_main(fit(problem, begin, errors=np.full(len(data), COARSE)))[0])
 
 
 def _poor(name: str, errors: Sequence[float]) -> list[str]:
