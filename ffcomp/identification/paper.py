@@ -94,17 +94,12 @@ def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse) -> Step:
     """
     fits = [fit_rational(response, 2, 4) for response in (alone, loaded)]
     added = loaded.added_mass_kg
-    start = np.append(_carriage_start(fits[0], fits[1], added), added)
 
     def equations(numbers: FloatArray) -> FloatArray:
-        return np.concatenate([_coefficients(numbers[:-1], 0.0), _coefficients(numbers[:-1], numbers[-1])])
+        return np.concatenate([_coefficients(numbers, 0.0), _coefficients(numbers, added)])
 
-    def weighed(numbers: FloatArray) -> FloatArray:
-        return np.array([(numbers[-1] - added) / (WEIGHED_SD * added)])
-
-    names = ("m", "k", "c", "b", "d0", "d1", "d2", "m_add")
-    joint, consistency = _solved(names, start, equations, fits, weighed)
-    return Step("carriage", joint, consistency)
+    names = ("m", "k", "c", "b", "d0", "d1", "d2")
+    return Step("carriage", *_solved(names, _carriage_start(fits[0], fits[1], added), equations, fits))
 
 
 def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
@@ -164,8 +159,7 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
 
     axis = struck.input.split("_")[-1]
     names = ("m1", "m2", f"b_{axis}", f"k_{axis}", "gain")
-    joint, consistency = _solved(names, start, equations, [rational], weighed)
-    return Step(f"hammer {axis}", joint, consistency)
+    return Step(f"hammer {axis}", *_solved(names, start, equations, [rational], weighed))
 
 
 # ---- the whole printer at the centre -------------------------------------------------------------
@@ -232,7 +226,7 @@ def _solved(
     start: FloatArray,
     equations: Callable[[FloatArray], FloatArray],
     fits: Sequence[RationalFit],
-    extra: Callable[[FloatArray], FloatArray],
+    extra: Callable[[FloatArray], FloatArray] = lambda _: np.empty(0),
 ) -> tuple[Joint, float]:
     """Solve coefficients = equations(parameters) by weighted least squares, with further whitened residuals `extra`."""
     coefficients = np.concatenate([each.coefficients for each in fits])

@@ -8,7 +8,7 @@ to shift a stroke and the slow line next to it alike (`lines.py`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -61,8 +61,7 @@ class Sight:
     picture: Picture
     perspective: FloatArray  # (3, 3), of (x, y, 1) mm to pixels: column, row
     barrel: FloatArray  # (2,) of the second and the fourth power of the radius
-    discs: IntArray  # (k,) which of the page's discs were seen
-    disc_mm: FloatArray  # (k, 2) where they are on the page
+    disc_mm: FloatArray  # (k, 2) where the discs that were seen are on the page
     disc_px: FloatArray  # (k, 2) and in the picture
     wobble: FloatArray = field(default_factory=lambda: np.zeros((2, 1)))  # (2, k) rows, and by how many rows off there
 
@@ -96,7 +95,7 @@ class Sight:
         ----------
         at_mm, px, normal : (n, 2) places on the page, where lines are seen for them, and unit vectors across, pixels.
         """
-        k, scale, middle = len(self.discs), _scale(self.perspective), self.picture.middle
+        k, scale, middle = len(self.disc_mm), _scale(self.perspective), self.picture.middle
         where = np.concatenate([self.disc_mm, self.disc_mm, at_mm])
         seen = np.concatenate([self.disc_px, self.disc_px, px])
         counts = np.concatenate([np.repeat(np.eye(2), k, axis=0), normal])
@@ -114,7 +113,7 @@ class Sight:
         start = np.append(np.zeros(8), self.barrel / BARREL_SD)
         found = least_squares(residual, start, method="lm", x_scale="jac", ftol=1e-7, max_nfev=2000)
         perspective, barrel = mapped(found.x)
-        return Sight(self.picture, perspective, barrel, self.discs, self.disc_mm, self.disc_px, self.wobble)
+        return replace(self, perspective=perspective, barrel=barrel)
 
 
 def _projected(perspective: FloatArray, xy: FloatArray) -> FloatArray:
@@ -257,12 +256,9 @@ def _found(picture: Picture, plan: Plan, blots: FloatArray, flip: float = 1.0) -
         group = blots[(blots[:, 2] > ONE_SIZE[0] * size) & (blots[:, 2] < ONE_SIZE[1] * size)]
         pairs = _matched(page, group, picture) if len(group) >= LEAST_DISCS else []
         if pairs:
-            which, px = (
-                np.array([i for i, _ in pairs]),
-                np.array([_middle_of(picture.ink, *group[j]) for _, j in pairs]),
-            )
-            rough = Sight(picture, _perspective(page[which], px), np.zeros(2), which, page[which], px)
-            sight = rough.refined(none, none, none)
+            at = page[[i for i, _ in pairs]]
+            px = np.array([_middle_of(picture.ink, *group[j]) for _, j in pairs])
+            sight = Sight(picture, _perspective(at, px), np.zeros(2), at, px).refined(none, none, none)
             if sight.misfit_mm < MOST_MISFIT_MM and _lines_are_dark(sight, plan, turned):
                 return sight
         size /= SIZE_STEP

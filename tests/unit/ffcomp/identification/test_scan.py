@@ -219,12 +219,12 @@ def test_a_picture_may_be_turned_coloured_bright_on_dark_or_lack_a_corner(
     grey = Image.fromarray(255 - scan).rotate(90, expand=True)
     Image.merge("RGB", [grey, grey.point(lambda v: 120 + v // 2), grey.point(lambda v: 255)]).save(tmp_path / "p.tiff")
     sight = find_page(read_picture(tmp_path / "p.tiff"), plan)
-    assert len(sight.discs) == 10 and sight.misfit_mm < 0.03
+    assert len(sight.disc_mm) == 10 and sight.misfit_mm < 0.03
     without = scan.copy()
     row, column = np.rint(_pixels(scan, plan, tmp_path)[0]).astype(int)[::-1]
     without[max(0, row - 60) : row + 60, max(0, column - 60) : column + 60] = 230
     Image.fromarray(without).save(tmp_path / "corner.png", compress_level=1)
-    assert len(find_page(read_picture(tmp_path / "corner.png"), plan).discs) == 9
+    assert len(find_page(read_picture(tmp_path / "corner.png"), plan).disc_mm) == 9
 
 
 def _pixels(scan: NDArray[np.uint8], plan: Plan, tmp_path: Path) -> NDArray[np.float64]:
@@ -238,7 +238,7 @@ def test_blots_at_the_ends_of_lines_are_no_discs(machine: Machine, plan: Plan, t
     Image.fromarray(blotted).save(tmp_path / "blots.png", compress_level=1)
     picture = read_picture(tmp_path / "blots.png")
     sight = find_page(picture, plan)
-    assert len(sight.discs) == 10 and sight.misfit_mm < 0.03
+    assert len(sight.disc_mm) == 10 and sight.misfit_mm < 0.03
     other = make_page(machine, PageRequest(seed=2))
     with pytest.raises(MeasurementError, match="of another machine"):  # and not: mirrored
         find_page(picture, other)
