@@ -83,7 +83,6 @@ class PrinterProblem(Problem):
         ]
         self.kept: dict[_Key, _Motions | InfeasibleParameters] = {}
         self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
-        self.whole, self.chosen = self, tuple(range(len(recordings)))  # what this is a part of, and which recordings
         self.splines = Splines()
 
     @property
@@ -98,18 +97,17 @@ class PrinterProblem(Problem):
         parts = excerpt_parts([self.observations[i] for i in chosen], same)
         return None if parts is None else self._of(chosen, parts)
 
-    def short_horizon(self, seconds: float) -> PrinterProblem | None:
-        """Return the problem on so much of each recording from where it begins to move; None if that is all of it."""
-        begun = [first_seconds(self.whole.observations[i], self.whole.commands[i], seconds) for i in self.chosen]
-        if all(part.last == len(self.whole.commands[i]) for i, part in zip(self.chosen, begun, strict=True)):
-            return None
-        return self.whole._of(self.chosen, begun)
+    def begun(self, seconds: float) -> PrinterProblem:
+        """Return the problem on so much of each recording from where it begins to move."""
+        parts = [
+            first_seconds(o, command, seconds) for o, command in zip(self.observations, self.commands, strict=True)
+        ]
+        return self._of(range(len(parts)), parts)
 
     def _of(self, chosen: Sequence[int], parts: Sequence[Part]) -> PrinterProblem:
         """Return the problem on parts of some recordings."""
         shorter = copy(self)
         whole = [self.observations[i] for i in chosen]
-        shorter.whole, shorter.chosen = self, tuple(chosen)
         shorter.same_command = [chosen.index(self.same_command[i]) for i in chosen]
         shorter.recordings = [self.recordings[i] for i in chosen]
         shorter.parameters = seen_parameters(self.parameters, whole)

@@ -261,8 +261,7 @@ def update(
 def update_problem(machine: Machine, recordings: Sequence[Recording], request: UpdateRequest) -> PrinterProblem:
     """Return the problem of the machine whose numbers are as uncertain as before these prints."""
     chosen = np.unique(np.linspace(0, len(recordings) - 1, MOST_LAYERS).round().astype(int))
-    problem = PrinterProblem(machine, [recordings[i] for i in chosen], ())
-    problem = problem.short_horizon(HORIZON_S) or problem
+    problem = PrinterProblem(machine, [recordings[i] for i in chosen], ()).begun(HORIZON_S)
     last = next((e for e in read_history(request.history_file)[::-1] if e["written_sha256"] == machine.sha256), None)
     known = {} if last is None else _deviations(last)
     skipped = {SCALE, *machine.vibration.guessed}
