@@ -265,13 +265,10 @@ def _signals(machine: Machine | None, motion: PrinterMotion, names: Sequence[str
     if machine is not None:
         dt_s = float(motion.t_s[1] - motion.t_s[0])
         sensed = measured(machine, replace(sensed, t_s=sensed.t_s + dt_s * (part.last - rows.stop)))
-    columns = np.empty((len(names), rows.stop - rows.start))
-    for column, name in zip(columns, names, strict=True):
+    sources = {"acc": (sensed.carriage, sensed.nozzle), "pos": (motion.carriage_mm, motion.nozzle_mm)}
+    columns = []
+    for name in names:
         kind, axis = name.split("_")
-        carriage = axis in "ABC"
-        i = "ABC".index(axis) if carriage else "xyz".index(axis)
-        if kind == "acc":
-            column[:] = (sensed.carriage if carriage else sensed.nozzle)[rows, i]
-        else:
-            column[:] = (motion.carriage_mm if carriage else motion.nozzle_mm)[rows, i]
-    return columns.T
+        carriage_or_nozzle, i = divmod("ABCxyz".index(axis), 3)
+        columns.append(sources[kind][carriage_or_nozzle][rows, i])
+    return np.stack(columns).T

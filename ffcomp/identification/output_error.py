@@ -328,11 +328,14 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
     sd = np.sqrt(np.diag(covariance))
     values = problem.parameters(theta)
     estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
-    estimates[TOTAL_MASS] = _total_estimate(problem, values, covariance)
     share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
     of_clocks = slice(len(problem.names), problem.end_of_clocks)
     clocks = zip(problem.clocks, theta[of_clocks], sd[of_clocks], strict=True)
     scale_sd, beside = _beside_common_scale(problem, values, covariance)
+    total = _total_mass(problem.start, values)
+    estimates[TOTAL_MASS] = normal(total, total * scale_sd)
+    degrees = float(np.degrees(ROTATION_UNIT))
+    angles = zip("xyz", degrees * theta[problem.end_of_clocks :], degrees * sd[problem.end_of_clocks :], strict=False)
     noise = np.concatenate([o.noise for o in problem.observations])
     chi = np.sum(((fitted.residual * fitted.sd) ** 2 / noise)[: problem.count])
     return Fitted(
@@ -341,7 +344,7 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
         prior_share=share,
         weak=_weak(problem, covariance),
         delays_s={clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
-        rotation_deg=_rotation(problem, theta, sd),
+        rotation_deg={axis: normal(float(angle), float(spread)) for axis, angle, spread in angles},
         common_scale_sd=scale_sd,
         beside_scale={name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
         misfit=float(chi) / (problem.count - len(theta)),
@@ -351,12 +354,6 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
         predictions=problem.model(theta),
         advice=tuple(fitted.doubt(f"{len(problem.names)} numbers")),
     )
-
-
-def _rotation(problem: _Problem, theta: FloatArray, sd: FloatArray) -> dict[str, Estimate]:
-    degrees = float(np.degrees(ROTATION_UNIT))
-    pairs = zip("xyz", theta[problem.end_of_clocks :], sd[problem.end_of_clocks :], strict=False)
-    return {axis: normal(degrees * float(t), degrees * float(s)) for axis, t, s in pairs}
 
 
 def _beside_common_scale(
@@ -379,12 +376,6 @@ def _beside_common_scale(
 
 def _estimate(name: str, value: float, sd: float) -> Estimate:
     return normal(value, SIGNED_UNIT * sd) if name in SIGNED else lognormal(value, sd)
-
-
-def _total_estimate(problem: _Problem, values: Mapping[str, float], covariance: FloatArray) -> Estimate:
-    slope = np.zeros(len(covariance))
-    slope[: len(problem.names)] = [values[n] if n in EFFECTOR_MASSES else 0.0 for n in problem.names]
-    return normal(_total_mass(problem.start, values), float(np.sqrt(slope @ covariance @ slope)))
 
 
 WEAK_SD = 0.1  # a parameter known worse than 10 % is weak

@@ -334,19 +334,13 @@ def _rows_alike(left: FloatArray) -> float:
 
 def machine_unknowns(machine: Machine) -> list[Number]:
     """List the numbers that a picture may tell; masses against one of them."""
-    known = machine.vibration.parameters()
-    sd = dict(zip(known.names, known.relative_sd(machine.uncertainty).tolist(), strict=True))
-    default = machine.uncertainty.get("default", 0.1)
-    names = [
-        n for n in machine.vibration.tunable if n != SCALE and not n.startswith("axes.z.") and "mount_freq" not in n
-    ]
-    unknowns = []
-    for name in names:
-        stem = name.partition("[")[0]
-        spread = sd.get(name) or machine.uncertainty.get(name, machine.uncertainty.get(stem, default))
+    unknowns, default = [], machine.uncertainty.get("default", 0.1)
+    for name in machine.vibration.tunable:
+        if name == SCALE or name.startswith("axes.z.") or "mount_freq" in name or not value_of(machine, name):
+            continue
         wide = 2.0 if "damping" in name else 1.0  # damping is known half as well
-        if value_of(machine, name):
-            unknowns.append(Number(name, value_of(machine, name), float(np.clip(wide * spread, LEAST_SD, MOST_SD))))
+        spread = wide * machine.uncertainty.get(name.partition("[")[0], default)
+        unknowns.append(Number(name, value_of(machine, name), float(np.clip(spread, LEAST_SD, MOST_SD))))
     return unknowns
 
 
