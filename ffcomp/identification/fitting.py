@@ -74,17 +74,8 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
         if request.plan is not None or request.method != "direct":
             raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")
         return fit_axis(start, data, request.known or {}, _name(start, request), progress)
-    gathered = gather(
-        data,
-        start,
-        band_hz=(request.lowest_hz, request.highest_hz),
-        plan=request.plan,
-        axes=request.axes_map.split(","),
-        shaken_axis=request.axis,
-        column=request.column,
-        progress=progress,
-    )
-    if gathered.nothing:
+    gathered = gather(start, request, progress)
+    if not (gathered.responses or gathered.shaken or gathered.belts):
         rule = "None of the files holds the response of an axis to its command."
         raise MeasurementError("data", [*gathered.skipped, rule])
     for sentence in gathered.skipped:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import Spectrum
+from ffcomp.identification.request import IdentifyRequest
 from ffcomp.identification.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.faults import fault
@@ -47,43 +49,22 @@ class Gathered:
     belts: list[BeltTest] = field(default_factory=list)  # of tests along a belt or a tower
     skipped: list[str] = field(default_factory=list)  # sentences
 
-    @property
-    def nothing(self) -> bool:
-        """Whether the files held nothing that can be fitted."""
-        return not (self.responses or self.shaken or self.belts)
 
+def gather(machine: Machine, request: IdentifyRequest, progress: Callable[[str], None] = lambda _: None) -> Gathered:
+    """Read every file of a request.
 
-def gather(
-    paths: Sequence[Path],
-    machine: Machine,
-    *,
-    band_hz: tuple[float, float],
-    plan: str | Path | None = None,
-    axes: Sequence[str] = STRAIGHT,
-    shaken_axis: Sequence[str] = (),
-    column: str | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Gathered:
-    """Read every file.
-
-    Parameters
-    ----------
-    plan : the file that `record plan` wrote with its G-code; None: there are no captures of it.
-    axes : the printer's axes in the sensor's own, of captures of a plan. Where the plan is no periodic excitation,
-        x, y, z means that they are found.
-    shaken_axis : the excited axis of resonance tests whose names do not say it: x, y, z or a direction such as
-        "1,-1"; one for all of them, or one each in their order.
-    column : the spectrum to be taken of files with several.
+    Axes x, y, z of captures of a plan that is no periodic excitation mean that they are found.
 
     Raises
     ------
     MeasurementError
         For the first file that cannot be used, with all that is wrong with it.
     """
+    plan, axes, band_hz = request.plan, request.axes_map.split(","), (request.lowest_hz, request.highest_hz)
     gathered, recordings = Gathered(), list[Recording]()
     tests: list[TestFile] = []
     captures: list[Path] = []
-    for path in paths:
+    for path in cast("tuple[Path, ...]", request.data):
         progress(Stage(1, f"reading {path.name}"))
         kind = kind_of(path)
         if kind == "frf":
@@ -101,8 +82,8 @@ def gather(
         for each in tests
         if isinstance(each, Capture) and each.overflows
     ]
-    for test, axis in _with_axes(tests, list(shaken_axis), gathered.skipped):
-        read = read_test(test, axis, band_hz, column or _named_column(test, shaken_axis))
+    for test, axis in _with_axes(tests, request.axis, gathered.skipped):
+        read = read_test(test, axis, band_hz, request.column or _named_column(test, request.axis))
         if isinstance(read, str):
             gathered.skipped.append(read)
         elif isinstance(read, BeltTest):
@@ -128,20 +109,18 @@ def gather(
     return gathered
 
 
-def _with_axes(tests: Sequence[TestFile], stated: list[str], skipped: list[str]) -> list[tuple[TestFile, str | None]]:
+def _with_axes(
+    tests: Sequence[TestFile], stated: Sequence[str], skipped: list[str]
+) -> list[tuple[TestFile, str | None]]:
     """Pair each resonance test with its excited axis; other files are skipped."""
-    usable = []
-    for test in tests:
-        sentence = no_test(test)
-        if sentence:
-            skipped.append(sentence)
-        else:
-            usable.append(test)
+    problems = [no_test(test) for test in tests]
+    skipped += filter(None, problems)
+    usable = [test for test, problem in zip(tests, problems, strict=True) if not problem]
     silent = [test for test in usable if test.axis is None]
     if len(stated) > 1 and len(stated) != len(silent):
         rule = f"--axis is given {len(stated)} times, for {len(silent)} tests whose names do not state their axis"
         raise MeasurementError("--axis", [f"{rule}: give it once for all of them, or once for each."])
-    axes = iter(stated if len(stated) > 1 else stated * len(silent))
+    axes = iter(stated if len(stated) > 1 else [*stated] * len(silent))
     return [(test, test.axis if test.axis is not None else next(axes, None)) for test in usable]
 
 

@@ -12,6 +12,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.identification.load import gather
 from ffcomp.identification.predict import predicted
+from ffcomp.identification.request import IdentifyRequest
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import load_plan, save_plan
 from models.file import load_machine
@@ -93,7 +94,8 @@ def test_captures_of_a_recording_give_responses(tmp_path: Path) -> None:
     names = [each.name for each in plan.experiments if each.place == place]
     written = write_captures(file, machine, tmp_path, kinds=[e.kind for e in plan.experiments if e.place == place])
     captures = [path for path in written if any(f"{name}-1" in path.name for name in names)]
-    found = gather(captures, machine, plan=file, band_hz=(8.0, 100.0)).responses
+    request = IdentifyRequest(tuple(captures), machine, plan=file, lowest_hz=8.0, highest_hz=100.0)
+    found = gather(machine, request).responses
     assert {(r.input, r.output) for r in found} >= {("cmd_x", "acc_x"), ("cmd_y", "acc_y")}
     for r, model in zip(found, predicted(machine, found), strict=True):
         assert r.clock == f"place-{place}" and r.position_mm is not None
@@ -107,5 +109,6 @@ def test_samples_that_reprapfirmware_lost_are_reported(tmp_path: Path, lost: int
     text = "".join(f"{n},{x:.4f},{y:.4f},{z:.4f}\n" for n, (x, y, z) in enumerate(rows.tolist()))
     path = tmp_path / "0_2026-11-22.csv"
     path.write_text(f"Sample,X,Y,Z\n{text}Rate 1344, overflows {lost}\n")
-    found = gather([path], load_machine("voron-300"), band_hz=(10.0, 120.0), shaken_axis=["x"])
+    machine = load_machine("voron-300")
+    found = gather(machine, IdentifyRequest((path,), machine, lowest_hz=10.0, highest_hz=120.0, axis=("x",)))
     assert any("lost samples (4 overflows" in each for each in found.skipped) == bool(lost)
