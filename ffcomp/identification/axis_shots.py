@@ -92,25 +92,19 @@ class Shots:
         return np.asarray(x - x[first * self.length] - speed * k / self.run.sample_rate_hz)
 
 
-def checked(machine: Machine, runs: Sequence[AxisRun]) -> None:
-    """Refuse runs that do not fit the machine file.
+def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
+    """Choose where the simulation of each run restarts; one length for all.
 
     Raises
     ------
     MeasurementError
+        For a run that is driven by something else than the axis.
     """
+    wanted = driven_axis(machine).input
     for run in runs:
-        if run.command_space != driven_axis(machine).input:
-            rule = (
-                f"The run gives a {run.command_space}, but axis.input of {machine.name} is "
-                f"{driven_axis(machine).input!r}: change one of the two."
-            )
-            raise MeasurementError(run.source, [rule])
-
-
-def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
-    """Choose where the simulation of each run restarts; one length for all."""
-    checked(machine, runs)
+        if run.command_space != wanted:
+            given = f"The run gives a {run.command_space}, but axis.input of {machine.name} is {wanted!r}"
+            raise MeasurementError(run.source, [f"{given}: change one of the two."])
     mean = [_mean(runs, i) for i in range(len(runs))]
     speeds = [speed_of(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
     held = not driven_axis(machine).free or (HOLDING & machine.effects.keys() and _pulled_back(mean, speeds))
