@@ -14,7 +14,8 @@ from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.substructures import command_frf, with_added_mass
 
-_Known = dict[tuple[object, ...], ComplexArray]  # (k, 3, 3) of the carriages, by kind of input, place and frequencies
+# J and the carriages' response (k, 3, 3), by kind of input, place and frequencies
+_Known = dict[tuple[object, ...], tuple[FloatArray, ComplexArray]]
 
 
 def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[ComplexArray]:
@@ -64,14 +65,14 @@ def _assembled(machine: Machine, response: FrequencyResponse, known: _Known) -> 
     place = (kind, *xy.tolist(), response.frequency_hz.tobytes())
     if place not in known:
         of_kind = machine.vibration.carriage_response if kind == "cmd" else delta_vibration(machine).receptance
-        known[place] = of_kind(xy, response.s)
-    j, output = machine.vibration.jacobian(xy[None])[0], response.output[-1]
+        known[place] = machine.vibration.jacobian(xy[None])[0], of_kind(xy, response.s)
+    (j, carriages), output = known[place], response.output[-1]
     if kind == "cmd":
         to_carriages = np.eye(3) if name in CARRIAGES else np.linalg.inv(j)
     else:
         to_carriages = delta_vibration(machine).load_map(j[None])[0]
-    left = np.eye(3)[CARRIAGES.index(output)] if output in CARRIAGES else j[AXES.index(output)]
-    return np.asarray(left @ known[place] @ to_carriages[:, (CARRIAGES + AXES).index(name) % 3])
+    answer = carriages @ to_carriages[:, (CARRIAGES + AXES).index(name) % 3]  # (k, 3)
+    return np.asarray(answer @ j[AXES.index(output)] if output in AXES else answer[:, CARRIAGES.index(output)])
 
 
 def _refuse(response: FrequencyResponse, rule: str) -> NoReturn:

@@ -172,7 +172,8 @@ class DeltaVibration(VibrationModel):
         mount = eq.damping * s[:, None] + eq.stiffness  # (k, 6)
         extruder = np.diagonal(mass)[3:] * s2 + mount[:, 3:]
         z = mass[:3, :3] * s2[:, :, None] + mount[:, :3, None] * np.eye(3)
-        eliminated = (mass[:3, 3:] * (s2**2 / extruder)[:, None, :]) @ mass[3:, :3]
+        by_axis = mass[:3, 3:].T[:, :, None] * mass[3:, None, :3]  # (3, 3, 3) kg², first the extruder's axis
+        eliminated = np.tensordot(s2**2 / extruder, by_axis, axes=1)
         return np.linalg.inv(z - eliminated)
 
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
