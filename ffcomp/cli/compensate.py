@@ -80,16 +80,7 @@ def _compensate_all(
     files, noted = request.paths, drafts_noted()
     results: list[FileResult] = []
     with Progress(sum(map(size_of, files))) as progress:
-        work = compensate_files(
-            files,
-            machine,
-            request,
-            bed=call.bed,
-            targets=targets,
-            jobs=request.jobs,
-            scheduler=request.scheduler,
-            progress=progress,
-        )
+        work = compensate_files(files, targets, machine, request, bed=call.bed, progress=progress)
         try:
             with interrupts_restored(), closing(work):
                 results.extend(work)

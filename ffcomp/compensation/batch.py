@@ -33,54 +33,40 @@ LARGEST = 8 << 20  # bytes of a file that one of several processes works at; its
 
 def compensate_files(
     files: Sequence[Path],
+    targets: Sequence[Path | None],
     machine: Machine,
     request: CompensateOptions,
     *,
     bed: Bed | None = None,
-    targets: Sequence[Path | None] | None = None,
-    jobs: int = 1,
-    scheduler: str = "",
     progress: Callable[[float], None] = lambda done: None,
 ) -> Generator[FileResult, None, None]:
     """Compensate files and yield each result when it is ready. A file that fails does not stop the others.
 
     Parameters
     ----------
-    targets : where each goes, None for nowhere; by default in place
-    jobs : processes on this computer
-    scheduler : address of a Dask scheduler, whose workers then do the work; they need not see the files
+    targets : where each goes, None for nowhere; `targets_of` has checked them
+    request : with a scheduler, the workers of that cluster do the work; they need not see the files
     progress : called with the bytes of input that are done
-
-    Raises
-    ------
-    RequestError
-        If two files have one target, or one is the target of another.
     """
-    chosen: list[Path | None] = list(files) if targets is None else list(targets)
-    check_targets(files, chosen)
+    sizes, done = [size_of(file) for file in files], 0
+    with workers(request.jobs, request.scheduler) as at_once:
+        batch = _Batch(files, targets, machine, request, bed, at_once)
+        # a file of a few parts is too small to share; the largest come first
+        order = sorted(range(len(files)), key=lambda number: -sizes[number])
+        large = [n for n in order if at_once == 1 or sizes[n] > min(at_once * PART_BYTES, LARGEST)]
+        for number in large:
 
-    def outcomes() -> Generator[FileResult, None, None]:
-        sizes, done = [size_of(file) for file in files], 0
-        with workers(jobs, scheduler) as at_once:
-            batch = _Batch(list(files), chosen, machine, request, bed, at_once, bool(scheduler))
-            # a file of a few parts is too small to share; the largest come first
-            order = sorted(range(len(files)), key=lambda number: -sizes[number])
-            large = [n for n in order if at_once == 1 or sizes[n] > min(at_once * PART_BYTES, LARGEST)]
-            for number in large:
+            def within(share: float, before: int = done, size: int = sizes[number]) -> None:
+                progress(before + share * size)
 
-                def within(share: float, before: int = done, size: int = sizes[number]) -> None:
-                    progress(before + share * size)
-
-                yield batch.by_all(number, within)
-                done += sizes[number]
+            yield batch.by_all(number, within)
+            done += sizes[number]
+            progress(done)
+        with closing(batch.side_by_side(order[len(large) :])) as found:
+            for outcome in found:
+                done += sizes[outcome.number]
                 progress(done)
-            with closing(batch.side_by_side(order[len(large) :])) as found:
-                for outcome in found:
-                    done += sizes[outcome.number]
-                    progress(done)
-                    yield outcome
-
-    return outcomes()
+                yield outcome
 
 
 def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | list[None]:
@@ -92,7 +78,7 @@ def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | li
     targets = files if folder is None else [folder / file.name for file in files]
     if request.kind != "gcode":
         targets = [target.with_suffix(ENDINGS[request.kind]) for target in targets]
-    check_targets(files, targets, in_place=folder is None)
+    _check_targets(files, targets, in_place=folder is None)
     if request.dry_run or (folder is None and request.output is None and not in_place):
         return [None] * len(files)
     if folder is not None:
@@ -100,13 +86,11 @@ def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | li
     return [Path(request.output)] if request.output is not None else targets
 
 
-def check_targets(files: Sequence[Path], targets: Sequence[Path | None], *, in_place: bool = True) -> None:
+def _check_targets(files: Sequence[Path], targets: Sequence[Path], *, in_place: bool) -> None:
     """No two files go to one place, and none to where one is read: another one, or itself if not in place."""
     inputs = {_same(file): file for file in files}
     taken: dict[object, Path] = {}
     for file, target in zip(files, targets, strict=True):
-        if target is None:
-            continue
         place = _same(target)
         if place in taken:
             raise RequestError(f"{taken[place]} and {file} would both be written to {target}.")
@@ -163,7 +147,6 @@ class _Batch:
     request: CompensateOptions
     bed: Bed | None
     jobs: int
-    far: bool  # whether the processes cannot read our files
 
     def by_all(self, number: int, progress: Callable[[float], None]) -> FileResult:
         """Compensate a file that all processes work at."""
@@ -213,7 +196,7 @@ class _Batch:
 
         file, wanted = self.files[number], self.targets[number] is not None
         try:
-            source = b"".join(raw_blocks(file)) if self.far else file
+            source = b"".join(raw_blocks(file)) if self.request.scheduler else file
         except (OSError, GcodeError) as error:
             return delayed(_Done)(self._failed(number, error))
         return delayed(_work)(number, file, source, wanted, (self.machine, self.request), self.bed)

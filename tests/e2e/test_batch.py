@@ -54,7 +54,7 @@ def prints(tmp_path: Path) -> list[Path]:
 def alone(machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     """What a single process makes of each."""
     paths = written(tmp_path_factory.mktemp("alone"))
-    done = in_order(compensate_files(paths, machine, plainly(predict=False)))
+    done = in_order(compensate_files(paths, paths, machine, plainly(predict=False)))
     assert [outcome.failure for outcome in done] == [None] * 3
     return [path.read_bytes() for path in paths]
 
@@ -116,7 +116,7 @@ def poisoned(prints: list[Path], machine: Machine, **where: Any) -> list[FileRes
     files = [prints[0], poison, fault, *prints[1:]]
     for file in (poison, fault):
         file.write_bytes(a_print(6))
-    outcomes = in_order(compensate_files(files, machine, plainly(predict=False), **where))
+    outcomes = in_order(compensate_files(files, files, machine, plainly(predict=False, **where)))
     assert poison.read_bytes() == fault.read_bytes() == a_print(6)
     assert names(poison.parent) - {"far"} == {file.name for file in files}
     return outcomes
