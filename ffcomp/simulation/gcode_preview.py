@@ -60,12 +60,19 @@ def gcode_preview(original: PlannedProgram, curve: Curve, offset: tuple[float, f
     yield from (f"; {text}: {name.split(':')[1].strip()}\n".encode() for text, name in zip(texts, names, strict=True))
     yield b"G21\nG90\nM83\n"
     yield from comments
-    write = _Writer(names)
+    shown, at = -1, dict[str, str]()  # level and words of the piece before
     for number in range(len(program.moves)):
         if number:
             yield from _comments(program, queue.up_to(number))
-        for piece in _pieces(program, levels, number, offset):
-            yield write(piece)
+        for level, words, filament in _pieces(program, levels, number, offset):
+            if level not in (shown, -1):
+                shown = level
+                yield f"{names[level]}\n".encode()
+            new = [name + value for name, value in words.items() if at.get(name) != value]
+            new += [f"E{filament}"] if float(filament) else []
+            at = words
+            if new:
+                yield f"G1 {' '.join(new)}\n".encode()
     yield from _comments(program, queue.up_to(len(program.moves)))
 
 
@@ -94,19 +101,10 @@ def _comments(program: Program, events: Iterable[Event]) -> Iterator[bytes]:
             yield line if line.endswith(b"\n") else line + b"\n"
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    """A piece of a move, to here: mm, mm/min."""
-
-    level: int  # -1: no plastic flows
-    x: float
-    y: float
-    z: float
-    filament: float
-    feed: float
-
-
-def _pieces(program: Program, levels: Levels, number: int, offset: tuple[float, float]) -> Iterator[_Piece]:
+def _pieces(
+    program: Program, levels: Levels, number: int, offset: tuple[float, float]
+) -> Iterator[tuple[int, dict[str, str], str]]:
+    """Yield the pieces of a move: level (-1: no plastic flows), words X Y Z F, and filament along it."""
     moves = program.moves
     start, end, feed = moves.start[number], moves.end[number], 60.0 * float(moves.speed[number])
     filament, count = float(end[3] - start[3]), int(levels.count[number])
@@ -115,27 +113,5 @@ def _pieces(program: Program, levels: Levels, number: int, offset: tuple[float, 
     stops = [*(np.flatnonzero(np.diff(level)) + 1).tolist(), count]
     for begin, stop in pairwise((0, *stops)):
         x, y, z = (start[:3] + (end[:3] - start[:3]) * (stop / count)).tolist()
-        share = filament * (stop - begin) / count
-        yield _Piece(int(level[begin]) if flows else -1, x - offset[0], y - offset[1], z, share, feed)
-
-
-class _Writer:
-    """Writes pieces, each with what has changed."""
-
-    def __init__(self, names: list[str]) -> None:
-        self._names, self._level = names, -1
-        self._at: dict[str, str] = {}
-
-    def __call__(self, piece: _Piece) -> bytes:
-        """Return the lines of a piece; the feature's first where it has changed."""
-        words = {"X": f"{piece.x:.3f}", "Y": f"{piece.y:.3f}", "Z": f"{piece.z:.3f}", "F": f"{piece.feed:.0f}"}
-        new = [name + value for name, value in words.items() if self._at.get(name) != value]
-        self._at = words
-        filament = f"{piece.filament:.5f}"
-        if float(filament):
-            new.append(f"E{filament}")
-        feature = ""
-        if piece.level not in (self._level, -1):
-            self._level = piece.level
-            feature = f"{self._names[piece.level]}\n"
-        return f"{feature}G1 {' '.join(new)}\n".encode() if new else feature.encode()
+        words = {"X": f"{x - offset[0]:.3f}", "Y": f"{y - offset[1]:.3f}", "Z": f"{z:.3f}", "F": f"{feed:.0f}"}
+        yield int(level[begin]) if flows else -1, words, f"{filament * (stop - begin) / count:.5f}"
