@@ -10,7 +10,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -68,15 +67,6 @@ class Timeline:
     lead_s: float  # from the section's first knot to the beginning of its path
 
 
-@dataclass(frozen=True, slots=True)
-class _Lines:
-    """k lines of the original in the file's order."""
-
-    line: IntArray  # (k,)
-    move: IntArray  # (k,) the move they stand before, or are
-    event: IntArray  # (k,) index into the events, -1: none
-
-
 def timeline(
     program: Program,
     trajectory: Trajectory,
@@ -100,30 +90,27 @@ def timeline(
     e = reference.extrusion(tile.first, tile.last)
     if tile.last == reference.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
-    lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
-    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first, reference.shortest_knots))
-    laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
-    _meet_the_events(laid, program, run, lines, among)
-    lead_s = run.begin_t - reference.t0
-    return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
-
-
-class _Laid(NamedTuple):
-    """m points and the places of k lines among them."""
-
-    at: FloatArray  # (m,) in knots
-    e: FloatArray  # (m,) mm of filament, as it flows between the knots
-    cut: BoolArray  # (m,) see `Timeline`
-    place: FloatArray  # (k,) in knots
-    point: IntArray  # (k,) index into `at`
+    line, move, event, among = _lines_of(program, trajectory, run, reference, inside, tile)
+    at = np.array([reference.knot_of(t) for t in trajectory.start_t[move].tolist()])
+    knots, filament, cut, place, point = _lay_out(at, event >= 0, e, vertices, tile.first, reference.shortest_knots)
+    cut[np.searchsorted(knots, tile.end)] = True  # where a motion is cut that had to be slowed down
+    between = np.flatnonzero((event >= 0) & (move > run.first))
+    if len(between):
+        stand = [among[k] for k in event[between].tolist()]
+        _meet_the_events(filament, program, move[between], stand, place[between], point[between])
+    return Timeline(tile, knots, filament, cut, point, line, event, among, run.begin_t - reference.t0)
 
 
 def _lines_of(
     program: Program, trajectory: Trajectory, run: Section, reference: Reference, inside: list[Event], tile: Tile
-) -> tuple[_Lines, list[Event], FloatArray]:
-    """Return the original's lines whose time lies in a tile or its context, the events among them, and times in knots.
+) -> tuple[IntArray, IntArray, IntArray, list[Event]]:
+    """Return the k lines of the original whose time lies in a tile or its context, in the file's order.
 
     Before a run's first knot and after its last there may be lines too.
+
+    Returns
+    -------
+    lines (k,); the moves they stand before, or are (k,); indices into the events (k,), -1: a move; the events
     """
     begun = trajectory.start_t[run.first : run.last]
     first, last = run.first, run.last
@@ -143,8 +130,7 @@ def _lines_of(
         event = np.concatenate([event, np.arange(len(among))])
         order = np.argsort(line)
         line, move, event = line[order], move[order], event[order]
-    at = np.array([reference.knot_of(t) for t in trajectory.start_t[move].tolist()])
-    return _Lines(line, move, event), among, at
+    return line, move, event, among
 
 
 def _before(events: list[Event], move: int) -> int:
@@ -155,7 +141,7 @@ def _before(events: list[Event], move: int) -> int:
 def _lay_out(
     at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int, shortest: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
-    """Compute the columns of `_Laid`; lines that stand where filament flows have points between the knots.
+    """Lay k lines on the knots; those that stand where filament flows have points between the knots.
 
     Parameters
     ----------
@@ -165,6 +151,10 @@ def _lay_out(
         which the filament is known
     vertices : (n + 1, 3) mm
     shortest : knots that a segment must have
+
+    Returns
+    -------
+    `at`, `e` and `cut` of `Timeline` (m,), where each line goes out (k,), in knots, and its index into `at` (k,)
     """
     place = _places(at, stands, e, first, shortest)
     n = len(e)
@@ -220,20 +210,23 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
     return places
 
 
-def _meet_the_events(laid: _Laid, program: Program, run: Section, lines: _Lines, among: list[Event]) -> None:
+def _meet_the_events(
+    filament: FloatArray, program: Program, move: IntArray, events: list[Event], place: FloatArray, point: IntArray
+) -> None:
     """Restore the original's filament, in place, at events where a flow begins, ends or turns back.
 
     In the middle of a flow it is off by a micrometre: the plan does not run as evenly from knot to knot as the command.
+
+    Parameters
+    ----------
+    filament : (m,) mm
+    move, events, place, point : (k,) events between moves: the move behind each, its place in knots, its point
     """
-    events = (lines.event >= 0) & (lines.move > run.first)
-    if not events.any():
-        return
-    filament, start, end = laid.e, program.moves.start[:, 3], program.moves.end[:, 3]
-    move, place, point = lines.move[events], laid.place[events], laid.point[events]
+    start, end = program.moves.start[:, 3], program.moves.end[:, 3]
     turns = np.flatnonzero(~((end[move - 1] - start[move - 1]) * (end[move] - start[move]) > 0.0))
     turns = turns[np.flatnonzero(np.diff(place[turns], append=np.inf))]  # the last at each place
     filament[point[turns]] = start[move[turns]]
     # where an event gives the filament's place another number (G92 E0), it must be exact: later it never would be
-    frames = [program.frames[among[k].frame].base[3] for k in lines.event[events].tolist()]
+    frames = [program.frames[each.frame].base[3] for each in events]
     renamed = np.array([program.frames[k].base[3] for k in program.moves.frame[move - 1].tolist()]) != frames
     filament[point[renamed]] = start[move[renamed]]
