@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ffcomp.errors import LimitsError
 from ffcomp.inverse.command_limits import ACCELERATION, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference, context_s, rooms_of
@@ -60,26 +59,18 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
     LimitsError
         Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
     """
-    trajectory, section, settings = request.trajectory, request.section, model.settings
+    trajectory, section = request.trajectory, request.section
     for reference, gentle in _layouts(model, request):
         free = solve(model, reference, request.state)
         if (found := _within_limits(model, request, (reference, free), gentle)) is not None:
             return SolvedSection(trajectory, section, *found)
     scaled = ScaledSection(model, request)
-    reference, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (reference, free))
+    reference, solution = scaled.solve(model.settings.slowing.tolerance_um * 1e-3, (reference, free))
     if not scaled.reasons:
         return SolvedSection(trajectory, section, reference, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
-    records = tuple(
-        scaled.records(
-            trajectory.duration[section.first : section.last],
-            lambda move: request.replanner.layer_of(section.first + move),
-        )
-    )
-    if settings.slowing.strict:
-        _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
-    return SolvedSection(spliced, section, reference, solution, records, lost)
+    return SolvedSection(spliced, section, reference, solution, scaled.records(), lost)
 
 
 def _layouts(model: InverseModel, request: PlannedSection) -> Iterator[tuple[Reference, bool]]:
@@ -176,14 +167,7 @@ def scale_around_cut(
     request = PlannedSection(program, plan, section, reference, state, replanner)
     scaled = ScaledSection(model, request, fixed=~inner)
     scaled.scale(NO_TOLERANCE_MM)
-    records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()
-    if records and model.settings.slowing.strict:
-        _refuse(records)
-    return scaled.moves, records
-
-
-def _refuse(records: tuple[TimeScaling, ...]) -> None:
-    raise LimitsError(" ".join(record.sentence() for record in records))
+    return scaled.moves, scaled.records()
 
 
 def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tuple[Trajectory, float]:

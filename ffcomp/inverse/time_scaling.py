@@ -126,7 +126,7 @@ class Replanner:
 
     limits: PlannerLimits
     plan: Callable[[Moves, float], Trajectory]  # moves, and when they begin, s
-    layer_of: LayerOf = lambda move: None
+    layer_of: LayerOf
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,9 +369,16 @@ class ScaledSection:
         speed = np.sqrt((self.plan.velocity(t)[:, :3] ** 2).sum(axis=1))
         return bool(np.ptp(speed) <= STEADY * speed.max())
 
-    def records(self, planned_s: FloatArray, layer_of: LayerOf) -> Iterator[TimeScaling]:
-        """Make one record for each group of moves that lie close together. planned_s : (n,) durations at first."""
-        scaled = np.array(sorted(self.reasons))
+    def records(self) -> tuple[TimeScaling, ...]:
+        """Return a record for each group of slower moves that lie close together; LimitsError when `strict`."""
+        found = tuple(self._records()) if self.reasons else ()
+        if found and self.model.settings.slowing.strict:
+            raise LimitsError(" ".join(record.sentence() for record in found))
+        return found
+
+    def _records(self) -> Iterator[TimeScaling]:
+        section, scaled = self.request.section, np.array(sorted(self.reasons))
+        planned_s = self.request.trajectory.duration[section.first : section.last]
         for group in np.split(scaled, np.flatnonzero(np.diff(scaled) > APART) + 1):
             worst = max((self.reasons[int(move)] for move in group), key=lambda violation: violation.utilisation)
             all_moves = slice(group[0], group[-1] + 1)
@@ -379,7 +386,7 @@ class ScaledSection:
             yield TimeScaling(
                 self.program.first_line + int(self.moves.line[group[0]]) + 1,
                 self.program.first_line + int(self.moves.line[group[-1]]) + 1,
-                layer_of(int(group[0])),
+                self.request.replanner.layer_of(section.first + int(group[0])),
                 min(float(before / after), 1.0),
                 float(after - before),
                 "" if worst.limit == TIMING else "ABC"[worst.carriage],
