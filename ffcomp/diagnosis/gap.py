@@ -33,18 +33,13 @@ class Discrepancy(Result):
     residual: ResidualBreakdown
     floor: NoiseFloor
     notes: tuple[str, ...] = ()  # faults of the repeats, in full sentences
-    forces: bool = False  # compared are the drive's force and the one that the measured motion needs
-
-    @property
-    def compared(self) -> str:
-        """What is compared: the signals, or the drive's forces."""
-        return "forces" if self.forces else "signals"
+    compared: str = "signals"  # or "forces": the drive's, and those that the measured motion needs
 
     @property
     def headline(self) -> str:
         """How large the disagreement is, and what noise alone would leave."""
         total, noise = self.residual.total, "; that is noise" if self.is_noise else ""
-        compared = "the drive's forces" if self.forces else "the signals"
+        compared = "the drive's forces" if self.compared == "forces" else "the signals"
         return (
             f"Simulation and measurement differ by {100 * total.nrms:.2f} % of {compared}; noise alone would leave "
             f"{100 * total.noise_nrms:.2f} % (known from {self.floor.origin}){noise}."
@@ -105,7 +100,7 @@ def gap_of(problem: Problem) -> Discrepancy:
         floor = at_least(floor, problem.observations, problem.band_hz, problem.least_density)
     whiten = whitener(problem.observations, floor, problem.band_hz)
     residual = locate_residual(problem, whiten, floor, simulated)
-    return Discrepancy(residual, floor, tuple(_notes(problem.repeats)), problem.forces)
+    return Discrepancy(residual, floor, tuple(_notes(problem.repeats)), "forces" if problem.forces else "signals")
 
 
 def _notes(repeats: Sequence[Repeats]) -> list[str]:

@@ -174,7 +174,7 @@ class _Task:
         """Fit all parameters to all frequency responses."""
         result = identify(self.start, self.gathered.responses, self.known, progress)
         text = self.origin.text_of(
-            {key: e for key, e in result.determined.items() if key != TOTAL_MASS},
+            {key: e for key, e in result.estimates.items() if key not in (*result.kept, TOTAL_MASS)},
             "fit",
             responses=len(result.responses),
             misfit_chi_squared_per_degree_of_freedom=float(f"{result.misfit:.4g}"),

@@ -105,11 +105,6 @@ class Fitted:
     advice: tuple[str, ...] = ()  # sentences on the fit, and on parameters that are weak
 
     @property
-    def determined(self) -> dict[str, Estimate]:
-        """Parameters that the data determined."""
-        return {name: e for name, e in self.estimates.items() if name not in self.kept}
-
-    @property
     def model_error(self) -> float:
         """ε of the typical response (the median): 0 if the model explains most of them to their noise."""
         return float(np.median(self.model_errors))
