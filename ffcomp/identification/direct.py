@@ -14,7 +14,6 @@ from models.kinds import delta_vibration, with_parts
 from models.machine import Machine, value_of, with_values
 from models.vibration.substructures import Drive
 
-UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
 WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings together
 SCALED = ("carriage.mass_kg", "carriage.belt_stiffness_n_per_m", "effector.nozzle_mass_kg")
 TURNED_DEG = 0.5  # a larger angle is reported
@@ -39,8 +38,7 @@ def identify(
     commanded = any(r.input.startswith("cmd_") for r in responses)
     method = _with_drive if commanded else fit_machine
     fitted = method(start, responses, known, progress=progress)
-    kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
-    others = [name for name in fitted.prior_share if name not in kept]
+    kept, others = fitted.kept, [name for name in fitted.beside_scale if name not in fitted.kept]
     if kept and others:
         has_drive = delta_vibration(start).carriage.drive is not None
         before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
@@ -52,7 +50,6 @@ def identify(
         moved, beside = ({name: e.scaled(ratio.get(name, 1.0)) for name, e in each.items()} for each in both)
         fitted = replace(fitted, machine=again.machine, estimates=moved, beside_scale=beside)
         fitted = replace(fitted, predictions=again.predictions, model_errors=again.model_errors)
-    fitted = replace(fitted, kept=kept)
     return replace(fitted, advice=(*fitted.advice, *advice_on(fitted)))
 
 

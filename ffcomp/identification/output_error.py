@@ -49,6 +49,7 @@ TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, as a scale shows it
 SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and fitted as its logarithm
 
 PRIOR_SD = 1.0  # of the logarithm of an unknown parameter: a factor of e
+UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
 SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
 ROTATION_SD_DEG = 3.0  # of an accelerometer against the printer's axes
@@ -90,7 +91,6 @@ class Fitted:
 
     machine: Machine
     estimates: Mapping[str, Estimate]  # unknowns by their names in the machine file, and the total mass
-    prior_share: Mapping[str, float]  # 0: from the data alone … 1: from the prior alone
     weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
     delays_s: Mapping[str, Estimate]  # of each clock
     rotation_deg: Mapping[str, Estimate]  # of the accelerometer about x, y, z; empty: not of captures
@@ -101,7 +101,7 @@ class Fitted:
     model_errors: FloatArray  # (r,) ε of each response
     responses: Sequence[FrequencyResponse]
     predictions: Sequence[ComplexArray]  # of the fitted machine, delays included
-    kept: tuple[str, ...] = ()  # parameters that stay the starting file's: the data do not determine them
+    kept: tuple[str, ...]  # parameters that stay the starting file's: the data do not determine them
     advice: tuple[str, ...] = ()  # sentences on the fit, and on parameters that are weak
 
     @property
@@ -323,7 +323,6 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
     sd = np.sqrt(np.diag(covariance))
     values = problem.parameters(theta)
     estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
-    share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
     of_clocks = slice(len(problem.names), problem.end_of_clocks)
     clocks = zip(problem.clocks, theta[of_clocks], sd[of_clocks], strict=True)
     scale_sd, beside = _beside_common_scale(problem, values, covariance)
@@ -336,7 +335,6 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
     return Fitted(
         machine=problem.machine(theta),
         estimates=estimates,
-        prior_share=share,
         weak=_weak(problem, covariance),
         delays_s={clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
         rotation_deg={axis: normal(float(angle), float(spread)) for axis, angle, spread in angles},
@@ -347,6 +345,7 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
         model_errors=fitted.errors[: len(problem.responses)],
         responses=problem.responses,
         predictions=problem.model(theta),
+        kept=tuple(name for name, s in zip(problem.names, sd, strict=False) if (s / PRIOR_SD) ** 2 > UNDETERMINED),
         advice=tuple(fitted.doubt(f"{len(problem.names)} numbers")),
     )
 

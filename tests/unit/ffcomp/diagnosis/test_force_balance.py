@@ -57,7 +57,9 @@ def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> 
     found = diagnose(problem)
     told = DiagnosisResult(search=found)
     compared = measure_gap(problem.machine_with(found.final.values), list(problem.recordings))
-    assert compared.compared == "forces" and compared.residual.total.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)
+    assert compared.compared == "forces" and compared.residual.total.nrms == pytest.approx(
+        told.gap.after.nrms, rel=0.05
+    )
     assert told.compared == "forces" and told.named == ("cogging_force",)
     table = told.effects["cogging_force"]
     sizes = {
