@@ -236,7 +236,9 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
     """Select the responses of axes to commands, their own or another's; describe the others in sentences."""
     kept: list[Response] = []
     left_out = []
-    for response in map(_of_axes, responses):
+    axes = str.maketrans(CARRIAGES, AXES)  # the carriages of such a machine are its axes: cmd_A is cmd_x
+    for each in responses:
+        response = replace(each, input=each.input.translate(axes), output=each.output.translate(axes))
         if response.setup != "assembly" or not response.input.startswith("cmd_"):
             left_out.append(
                 f"{response.source}: {response.input} to {response.output} ({response.setup}) does not describe an "
@@ -249,10 +251,3 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
         ):  # a simulated carriage is the nozzle, to the last digit
             kept.append(Response(**vars(response)))
     return kept, left_out
-
-
-def _of_axes(response: FrequencyResponse) -> FrequencyResponse:
-    """Rename cmd_A to cmd_x: the carriages of such a machine are its axes."""
-    named = (name.translate(str.maketrans(CARRIAGES, AXES)) for name in (response.input, response.output))
-    command, answers = named
-    return replace(response, input=command, output=answers)
