@@ -56,11 +56,9 @@ def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> 
     problem = turned(1)
     found = diagnose(problem)
     told = DiagnosisResult(search=found)
-    compared = measure_gap(problem.machine_with(found.final.values), list(problem.recordings))
-    assert compared.compared == "forces" and compared.residual.total.nrms == pytest.approx(
-        told.gap.after.nrms, rel=0.05
-    )
-    assert told.compared == "forces" and told.named == ("cogging_force",)
+    left = measure_gap(problem.machine_with(found.final.values), list(problem.recordings))
+    assert left.residual.total.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)
+    assert left.compared == told.compared == "forces" and told.named == ("cogging_force",)
     table = told.effects["cogging_force"]
     sizes = {
         round(2e3 * np.pi / p): float(np.hypot(s, c))
