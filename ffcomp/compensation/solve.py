@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,28 +20,7 @@ from ffcomp.planner.trajectory import Section
 from gcode.layers import LayerLookup
 from gcode.program import EventKind, Program
 from gcode.slicing import some
-from models.arrays import FloatArray
 from models.machine import Machine
-
-
-@dataclass(frozen=True, slots=True)
-class Resting:
-    """The plant while the command rests after a section."""
-
-    state: FloatArray  # (18,), as the section ends
-    nozzle: FloatArray  # (3,) mm, where the command rests
-    since_t: float  # s, when it came to rest, on the clock of the plan that follows
-
-    @staticmethod
-    def after(solved: SolvedSection, planned: PlannedProgram) -> Resting:
-        """Return the plant after a section of a plan; time that was lost by slowing down does not count."""
-        last = solved.section.last - 1
-        plan, nozzle = planned.trajectory, planned.program.moves.end[last, :3]
-        return Resting(solved.solution.state, nozzle, float(plan.start_t[last] + plan.duration[last]))
-
-    def is_at(self, nozzle: FloatArray) -> bool:
-        """Return whether the command rests at a place, (3,) mm."""
-        return float(np.abs(self.nozzle - nozzle).max()) <= ENDS_MM
 
 
 def replanner_of(program: Program, machine: Machine, layers_before: int) -> Replanner:
@@ -88,14 +67,21 @@ def _linear(
     parts = [extent if section is planned.sections[0] else WHOLE for section in travels]
     # robust offsets of many sections together cost half of what they do one by one
     laid = [Reference(trajectory, section, settings, part) for part, section in zip(parts, travels, strict=True)]
-    offsets, later, before = model.robust_offsets(laid), 0.0, None
+    offsets, later = model.robust_offsets(laid), 0.0
+    before: SolvedSection | None = None  # None: its command was not written, or there is none
     for section, reference, offset in zip(travels, laid, offsets, strict=True):
-        start = trajectory.origin[section.first, :3]
-        if before is None or moved[section.first] or not before.is_at(start):
-            state, rest = machine.equilibrium(start), None
+        start, rest, fault = trajectory.origin[section.first, :3], None, ""
+        if before is not None and not moved[section.first]:
+            last = before.section.last - 1
+            if float(np.abs(program.moves.end[last, :3] - start).max()) > ENDS_MM:
+                fault = "it begins elsewhere than the last motion has ended"
+            else:  # time that was lost by slowing down does not count
+                plan = planned.trajectory
+                rest = section.begin_t - float(plan.start_t[last] + plan.duration[last])
+        if before is None or rest is None:
+            state = machine.equilibrium(start)
         else:
-            rest = section.begin_t - before.since_t
-            state = model.state_after_rest(before.state, start, rest)
+            state = model.state_after_rest(before.solution.state, start, rest)
         if later:
             section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
             reference = Reference(trajectory, section, settings, reference.extent)
@@ -107,14 +93,11 @@ def _linear(
         else:
             solution = held(model, reference, state, solve(model, reference, state))
             solved = SolvedSection(trajectory, section, reference, solution)
-        solved = replace(solved, rest_s=rest)
-        if before is not None and not moved[section.first] and not before.is_at(start):
-            solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
-        solved = _checked(solved, planned, model)
+        solved = _checked(replace(solved, rest_s=rest, fault=fault), planned, model)
         if not solved.fault:
             trajectory, later = solved.trajectory, later + solved.lost_s
         yield solved
-        before = None if solved.fault else Resting.after(solved, planned)
+        before = None if solved.fault else solved
 
 
 def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel) -> SolvedSection:
