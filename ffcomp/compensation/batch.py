@@ -44,10 +44,16 @@ def compensate_files(
 
     Parameters
     ----------
-    targets : where each goes, None for nowhere; `targets_of` has checked them
+    targets : where each goes, None for nowhere
     request : with a scheduler, the workers of that cluster do the work; they need not see the files
     progress : called with the bytes of input that are done
+
+    Raises
+    ------
+    RequestError
+        If two files have one target, or one is the target of another.
     """
+    check_targets(files, targets)
     sizes, done = [size_of(file) for file in files], 0
     with workers(request.jobs, request.scheduler) as at_once:
         batch = _Batch(files, targets, machine, request, bed, at_once)
@@ -78,7 +84,7 @@ def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | li
     targets = files if folder is None else [folder / file.name for file in files]
     if request.kind != "gcode":
         targets = [target.with_suffix(ENDINGS[request.kind]) for target in targets]
-    _check_targets(files, targets, in_place=folder is None)
+    check_targets(files, targets, in_place=folder is None)
     if request.dry_run or (folder is None and request.output is None and not in_place):
         return [None] * len(files)
     if folder is not None:
@@ -86,11 +92,13 @@ def targets_of(request: CompensateRequest, *, in_place: bool) -> list[Path] | li
     return [Path(request.output)] if request.output is not None else targets
 
 
-def _check_targets(files: Sequence[Path], targets: Sequence[Path], *, in_place: bool) -> None:
+def check_targets(files: Sequence[Path], targets: Sequence[Path | None], *, in_place: bool = True) -> None:
     """No two files go to one place, and none to where one is read: another one, or itself if not in place."""
     inputs = {_same(file): file for file in files}
     taken: dict[object, Path] = {}
     for file, target in zip(files, targets, strict=True):
+        if target is None:
+            continue
         place = _same(target)
         if place in taken:
             raise RequestError(f"{taken[place]} and {file} would both be written to {target}.")
