@@ -29,7 +29,16 @@ from ffcomp.diagnosis.fidelity import (
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, by_deviance, estimation_problem, fit, intervals_of, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, hold_out, other_motions
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, error_left, likeliest
-from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
+from ffcomp.diagnosis.noise import (
+    ABOVE,
+    NoiseFloor,
+    at_least,
+    noise_floor,
+    noise_share,
+    scaled,
+    stationary_noise,
+    whitener,
+)
 from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
@@ -44,6 +53,7 @@ from models.arrays import FloatArray
 BUDGET_STEPS = 2.4e8  # integration steps of a printer, after which nothing more is tried: 90 s of CPU in 2026
 LOOSENED = 5.0  # times the uncertainties, in the fit of the file's numbers that may all be wrong
 AS_LOOSE = 1.5  # times the mean square that the effects leave: such a fit explains as much
+STATIONARY = 0.25  # noise power: by so much may all windows exceed the quiet ones, of noise
 USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
 
 FINDINGS = {
@@ -142,16 +152,33 @@ def diagnose(
     problem.work.begin(budget)
     problem = problem.compared()
     result = _diagnosed(problem, noise_floor(problem), settings, trace, progress, problem.least_density)
-    guessed = not result.noise.from_repeats and result.fault is None
-    if guessed and result.floor_is_wrong:
-        progress("the residual is below the guessed noise: it becomes the noise, and the search starts again")
+    again = None if result.noise.from_repeats or result.fault is not None else _corrected_noise(result)
+    if again is not None:
+        progress("the residual is as stationary as noise: it becomes the noise, and the search starts again")
         problem.work.begin(budget)
-        noise = scaled(result.noise, mean_square(result.final))
-        result = _diagnosed(problem, noise, settings, trace, progress, {})
+        result = _diagnosed(problem, again, settings, trace, progress, {})
     concluded = replace(_concluded(result), cut_short=problem.work.cut)
     names = concluded.best.names if concluded.best is not None else ()
     trace.add("verdict", names, left=concluded.final.discrepancy, outcome=concluded.finding)
     return concluded
+
+
+def _corrected_noise(result: Diagnosis) -> NoiseFloor | None:
+    """Return the noise that the residual shows where a guessed floor is too high, or too low; None where it is right.
+
+    Too low it is where nothing explains a residual that is the same in every window: a sensor's noise has a colour.
+    """
+    if result.floor_is_wrong:
+        return scaled(result.noise, mean_square(result.final))
+    if result.verdict != "unknown":
+        return None
+    estimation, final = result.estimation, result.final
+    observations, whiten = estimation.whiten.observations, estimation.whiten
+    simulated = estimation.problem.simulate(final.values)
+    errors = [o.measured - y for o, y in zip(observations, simulated, strict=True)]
+    raised = stationary_noise(whiten.floor, observations, errors)
+    left = whitener(observations, raised, whiten.band_hz)(errors)
+    return raised if float(left @ left) / len(left) - 1 < STATIONARY else None
 
 
 def _spread(estimation: EstimationProblem) -> float:
@@ -185,7 +212,7 @@ def _diagnosed(
     least_density: Mapping[str, float | FloatArray],
 ) -> Diagnosis:
     progress(Stage(1, "estimating the noise"))
-    if not (noise.from_repeats or noise.of_sensors):
+    if noise.origin == ABOVE:
         progress("no repeats: the noise floor is taken from above the model's band")
     floor = at_least(noise, problem.observations, problem.band_hz, least_density)
     estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz), settings, trace)

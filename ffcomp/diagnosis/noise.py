@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.problem import Observation, Problem
@@ -23,7 +24,15 @@ SIMULATION_ERROR = 3e-3  # of the signals: no simulation is nearer, however quie
 TAPER_S = 0.1  # faded in and out at both ends
 SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
 SMOOTHING_HZ = 5.0
+LINE_HZ = 25.0  # twice as wide as a line of the shortest windows
+QUIET = 0.25  # of all windows: a quarter moves little, or evenly
 SMOOTHED_LINES = 4.6  # independent ones in that: dividing by a floor of n averages makes noise 1 + 1/n too large
+
+
+REPEATS = "repeats"
+SENSORS = f"the encoder, and {100 * SIMULATION_ERROR:g} % of the motion: no simulation is nearer"
+ABOVE = "the spectrum above the model's band, which is weaker than repeats"
+RESIDUAL = "what is left, quiet windows and loud ones alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,17 +41,12 @@ class NoiseFloor:
 
     frequency_hz: FloatArray  # (k,)
     density: Mapping[str, FloatArray]  # signal -> (k,)
-    from_repeats: bool
-    of_sensors: bool = False  # of positions that show it by themselves
+    origin: str  # where it is known from, in words
 
     @property
-    def origin(self) -> str:
-        """The source of the noise level, in words."""
-        if self.from_repeats:
-            return "repeats"
-        if self.of_sensors:
-            return f"the encoder, and {100 * SIMULATION_ERROR:g} % of the motion: no simulation is nearer"
-        return "the spectrum above the model's band, which is weaker than repeats"
+    def from_repeats(self) -> bool:
+        """Whether it was measured: all others are guesses."""
+        return self.origin == REPEATS
 
     def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
         """Interpolate the density of one signal: (n,) Hz -> (n,) unit²/Hz."""
@@ -73,9 +77,7 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
     if not known:
         return above
     sensors = noise_of_sensors(problem.observations, known)
-    return replace(
-        sensors, of_sensors=False, density={**above.density, **{name: sensors.density[name] for name in known}}
-    )
+    return replace(above, density={**above.density, **{name: sensors.density[name] for name in known}})
 
 
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
@@ -94,7 +96,7 @@ def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None
     for signal in {name for r in observations for name in r.signals} - set(density):
         same_kind = [d for name, d in density.items() if name[:3] == signal[:3]]
         density[signal] = np.mean(same_kind, axis=0)
-    return NoiseFloor(grid, density, True)
+    return NoiseFloor(grid, density, REPEATS)
 
 
 def noise_from_residual(
@@ -108,30 +110,21 @@ def noise_from_residual(
     """
     grid = noise_grid(observations)
     high = (grid > 1.1 * band_hz[1]) & (grid < 0.95 * grid[-1])  # up to nearly the Nyquist frequency
-    density = {}
-    for signal in sorted({name for r in observations for name in r.signals}):
-        columns = [
-            (e[:, r.signals.index(signal)], r.rate_hz)
-            for r, e in zip(observations, errors, strict=True)
-            if signal in r.signals
-        ]
-        spectrum = np.mean([density_of(fill_gaps(column), rate, grid) for column, rate in columns], axis=0)
-        density[signal] = np.full(len(grid), np.median(spectrum[high]))
-    return NoiseFloor(grid, density, False)
+    spectra = _spectra(observations, errors, grid)
+    density = {signal: np.full(len(grid), np.median(np.mean(x, axis=0)[high])) for signal, x in spectra.items()}
+    return NoiseFloor(grid, density, ABOVE)
 
 
 def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, float | FloatArray]) -> NoiseFloor:
     """Take noise of known densities, unit²/Hz, white or (k,) at `noise_grid`; signals without one have hardly any."""
     grid = noise_grid(observations)
     signals = sorted({name for r in observations for name in r.signals})
-    return NoiseFloor(
-        grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False, of_sensors=True
-    )
+    return NoiseFloor(grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, SENSORS)
 
 
 def scaled(floor: NoiseFloor, factor: float) -> NoiseFloor:
-    """Return the floor with so many times the power."""
-    return NoiseFloor(floor.frequency_hz, {k: factor * x for k, x in floor.density.items()}, floor.from_repeats)
+    """Return the floor with so many times the power, as the residual shows."""
+    return NoiseFloor(floor.frequency_hz, {k: factor * x for k, x in floor.density.items()}, RESIDUAL)
 
 
 def at_least(
@@ -168,17 +161,38 @@ def raised_to_residual(
     floor: NoiseFloor, observations: Sequence[Observation], errors: Sequence[FloatArray]
 ) -> NoiseFloor:
     """Raise the floor to the smooth spectrum of what is left, measured − simulated, (n, m) an observation."""
-    density = {}
-    for signal, least in floor.density.items():
-        spectra = [
-            _smooth(
-                density_of(fill_gaps(e[:, o.signals.index(signal)]), o.rate_hz, floor.frequency_hz), floor.frequency_hz
-            )
-            for o, e in zip(observations, errors, strict=True)
-            if signal in o.signals
-        ]
-        density[signal] = np.maximum(least, np.mean(spectra, axis=0))
-    return replace(floor, density=density)
+    grid = floor.frequency_hz
+    smooth = {signal: _smooth(np.mean(x, axis=0), grid) for signal, x in _spectra(observations, errors, grid).items()}
+    return replace(floor, density={signal: np.maximum(x, smooth[signal]) for signal, x in floor.density.items()})
+
+
+def stationary_noise(
+    floor: NoiseFloor, observations: Sequence[Observation], errors: Sequence[FloatArray]
+) -> NoiseFloor:
+    """Raise the floor to what is left in quiet windows too, measured − simulated, (n, m) an observation.
+
+    The noise of a sensor has its colour, and is the same however the axis moves; the force of an effect follows the
+    motion. So a density is taken from the quiet quarter of all windows, and of the lines nearby, because a single line
+    is no noise (minimum statistics; Martin 2001).
+    """
+    grid, density = floor.frequency_hz, dict(floor.density)
+    near = round(LINE_HZ / 2 / (grid[1] - grid[0]))
+    for signal, x in _spectra(observations, errors, grid).items():
+        around = sliding_window_view(np.pad(x, ((0, 0), (near, near)), mode="reflect"), 2 * near + 1, axis=1)
+        quiet = np.quantile(around, QUIET, axis=(0, 2)) / -np.log1p(-QUIET)  # a line's power is exponential
+        density[signal] = np.maximum(density[signal], quiet)
+    return NoiseFloor(grid, density, RESIDUAL)
+
+
+def _spectra(
+    observations: Sequence[Observation], errors: Sequence[FloatArray], grid: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the density of each signal in every observation that has it, (n, k) unit²/Hz."""
+    found: dict[str, list[FloatArray]] = {}
+    for o, e in zip(observations, errors, strict=True):
+        for name, column in zip(o.signals, e.T, strict=True):
+            found.setdefault(name, []).append(density_of(fill_gaps(column), o.rate_hz, grid))
+    return {name: np.array(found[name]) for name in sorted(found)}
 
 
 def noise_share(whiten: Whitener, measured: FloatArray, part: slice | NDArray[np.bool_] = slice(None)) -> float:

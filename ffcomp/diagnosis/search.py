@@ -118,6 +118,16 @@ def _asks_for_more(search: Search, h: Hypothesis) -> bool:
     return leaves_excess(search.estimation, h.fit) and not inexact
 
 
+def _inexact(search: Search, h: Hypothesis) -> bool:
+    """Tell whether a law with more numbers has nothing to explain: no more is left than any formula may leave.
+
+    That is a share of what the least of the effects does at the fitted numbers, some of which retuning would hide.
+    """
+    others = [{n: x for n, x in h.fit.values.items() if n not in {p.name for p in c.parameters}} for c in h.effects]
+    least = min(beyond_noise(r) for r in search.estimation.residuals(others))
+    return beyond_noise(h.fit.residual) < search.settings.trace * least
+
+
 # ---- expand --------------------------------------------------------------------------------------
 
 
@@ -302,12 +312,14 @@ def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, 
 
 
 def _other_forms(search: Search, h: Hypothesis) -> list[tuple[Candidate, ...]]:
-    """Return the effects with one of them in another form, or by another law of its cause."""
+    """Return the effects with one of them in another form, or by another law of its cause where that is asked for."""
     found: list[tuple[Candidate, ...]] = []
+    inexact = _inexact(search, h)
     for effect in h.effects:
-        laws = [
+        alike = [
             c for c in search.estimation.problem.candidates if CATALOGUE[c.name].cause == CATALOGUE[effect.name].cause
         ]
+        laws = [c for c in alike if not inexact or c.name == effect.name]
         kinds = [
             form for c in laws for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
         ]
@@ -353,7 +365,8 @@ def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> 
     laws = [h for h in likeliest(tried) if h.causes == best.causes and h.effect_count < best.effect_count]
     for law in (h for h in laws[:1] if comparable(h, best, 2.0, search.settings)):
         simpler = fit_exactly(search.estimation, law, search.progress)
-        if not significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share):
+        gains = significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share)
+        if _inexact(search, simpler) or not gains:
             best = simpler
     return best
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from ffcomp.diagnosis.noise import ABOVE
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined, most_of, percent
@@ -170,7 +171,7 @@ def _limits(result: DiagnosisResult) -> Iterator[str]:
             f"Files do not lie on their command: {joined(files)}{more}. Their delays were fitted; join captures by the "
             "firmware's clock (ffcomp record join) to be surer."
         )
-    if not (result.search.noise.from_repeats or result.search.noise.of_sensors):
+    if result.search.noise.origin == ABOVE:
         yield (
             f"The noise of {percent(result.gap.noise)} is a guess from above the model's band, because no motion was "
             "repeated: a smaller effect may be hidden in it."

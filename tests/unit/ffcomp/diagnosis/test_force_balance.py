@@ -10,8 +10,8 @@ import pytest
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.gap import measure_gap
-from ffcomp.diagnosis.noise import noise_floor, whitener
-from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.noise import noise_floor, noise_of_sensors, stationary_noise, whitener
+from ffcomp.diagnosis.problem import Observation, Problem
 from ffcomp.diagnosis.problems import problem_of
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
@@ -80,6 +80,20 @@ def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() ->
     np.testing.assert_allclose(needed, same, atol=1e-6)
     _, v, a = _motion(np.arange(60, 2300) / 400.0, 0.5)
     np.testing.assert_allclose(needed[60:2300], INERTIA * a + DAMPING * v + 0.3, atol=0.01)
+
+
+def test_stationary_noise_has_a_colour_but_no_line_and_nothing_that_comes_and_goes() -> None:
+    rng, rate, rows = np.random.default_rng(4), 400.0, 256
+    f, t = np.fft.rfftfreq(rows, 1 / rate), np.arange(rows) / rate
+    errors, white = [], 2 / rate
+    for k in range(36):
+        hum = np.fft.irfft(np.fft.rfft(rng.normal(size=rows)) * ((f > 40) & (f < 90)), rows)
+        line, effect = 3.0 * np.sin(300 * np.pi * t + k), 10.0 * (k % 3 > 0) * np.cos(30 * np.pi * t)
+        errors.append((rng.normal(size=rows) + 3.0 * hum + line + effect)[:, None])
+    windows = [Observation(f"{k}", f"{k}", (1.0 * k,), rate, ("force",), e, e) for k, e in enumerate(errors)]
+    found = stationary_noise(noise_of_sensors(windows, {"force": white}), windows, errors)
+    for hertz, density in ((15.0, white), (65.0, 10 * white), (110.0, white), (150.0, white)):
+        assert found.at("force", np.array([hertz])) == pytest.approx(density, rel=0.4)
 
 
 def test_the_noise_of_an_encoder_counts_by_the_force_that_it_makes() -> None:

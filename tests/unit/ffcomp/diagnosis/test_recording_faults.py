@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
-from ffcomp.diagnosis.noise import NoiseFloor, whitener
+from ffcomp.diagnosis.noise import REPEATS, NoiseFloor, whitener
 from ffcomp.diagnosis.problem import Observation
 from ffcomp.diagnosis.recording_faults import clipped_sensor, fault_of_recordings, odd_signal, shaper_on
 from ffcomp.measurement.faults import BadSensor, ShaperOn
@@ -35,7 +35,7 @@ def problem(*measured: np.ndarray) -> EstimationProblem:
         Observation(f"x-{i}.csv", "x", (0.0, 0.0), RATE_HZ, SIGNALS, x, np.ones(x.shape)) for i, x in enumerate(noisy)
     ]
     grid = np.array([0.0, RATE_HZ / 2])
-    floor = NoiseFloor(grid, {s: np.full(2, 2 * NOISE**2 / RATE_HZ) for s in SIGNALS}, True)
+    floor = NoiseFloor(grid, {s: np.full(2, 2 * NOISE**2 / RATE_HZ) for s in SIGNALS}, REPEATS)
     whiten = whitener(seen, floor, (1.0, 200.0))
     by_position: Any = SimpleNamespace(commanded=True)
     return EstimationProblem(by_position, whiten, whiten(noisy))
