@@ -63,11 +63,11 @@ def lanes_of_axes(states: FloatArray, modes: FloatArray, parameters: FloatArray)
     m = r.lanes(np.zeros((len(states), STATES)), parameters, int(MODES + EACH * modes.shape[1]))
     m[COMPLIANCE:MODES] = 1.0 / m[r.belt_k : r.belt_k + 3]
     each = np.minimum(np.arange(LANES), len(states) - 1)
-    for row in range(states.shape[1]):
-        m[_state_row(row) : _state_row(row) + 3] = states[each, row].T
+    m[STATE : STATE + 3 * FIRST] = states[each, :FIRST].reshape(LANES, -1).T
     for i in range(modes.shape[1]):
-        begin = MODES + EACH * i
+        begin, row = MODES + EACH * i, FIRST + 2 * i
         m[begin : begin + 3 * FIELDS] = modes[each, i].reshape(LANES, -1).T
+        m[begin + 3 * FIELDS : begin + EACH] = states[each, row : row + 2].reshape(LANES, -1).T
     return m
 
 
