@@ -73,6 +73,13 @@ GUIDE_DAMPING = Effect(
 )
 
 
+def _dry_force(meaning: str) -> EffectParameter:
+    """Return the size of a dry friction: one for each guideway."""
+    return amplitude(
+        "force_n", meaning, FORCES, (0.5, 10), 0.5, EACH, on_printers=OF_PRINTERS, usual=lambda s: s.force_n
+    )
+
+
 def _dry_terms(values: Values, printer: Terms) -> Terms:
     """Return the guides' dry friction added to the printer's terms. Two kinds share v₀ and κ, weighted by their forces.
 
@@ -101,16 +108,7 @@ COULOMB_FRICTION = Effect(
     physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
-        amplitude(
-            "force_n",
-            "F_C, of each guideway",
-            FORCES,
-            (0.5, 10),
-            0.5,
-            EACH,
-            on_printers=OF_PRINTERS,
-            usual=lambda s: s.force_n,
-        ),
+        _dry_force("F_C, of each guideway"),
         *reversal_parameters(EACH),
     ),
     in_data="Acceleration jumps by up to 2 F_C/m when a carriage reverses, in slow moves as much as in fast ones.",
@@ -135,16 +133,7 @@ STRIBECK_FRICTION = Effect(
     physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
-        amplitude(
-            "force_n",
-            "friction at speed",
-            FORCES,
-            (0.5, 10),
-            0.5,
-            EACH,
-            on_printers=OF_PRINTERS,
-            usual=lambda s: s.force_n,
-        ),
+        _dry_force("friction at speed"),
         amplitude(
             "extra_force_n",
             "excess at rest",
