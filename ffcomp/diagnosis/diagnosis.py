@@ -154,7 +154,7 @@ def diagnose(
     result = _diagnosed(problem, noise_floor(problem), settings, trace, progress, problem.least_density)
     again = None if result.noise.from_repeats or result.fault is not None else _corrected_noise(result)
     if again is not None:
-        progress("the residual is as stationary as noise: it becomes the noise, and the search starts again")
+        progress("the residual shows another noise than was guessed: it becomes the noise, and the search starts again")
         problem.work.begin(budget)
         result = _diagnosed(problem, again, settings, trace, progress, {})
     concluded = replace(_concluded(result), cut_short=problem.work.cut)

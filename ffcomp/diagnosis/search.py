@@ -121,7 +121,7 @@ def _asks_for_more(search: Search, h: Hypothesis) -> bool:
 def _inexact(search: Search, h: Hypothesis) -> bool:
     """Tell whether a law with more numbers has nothing to explain: no more is left than any formula may leave.
 
-    That is a share of what the least of the effects does at the fitted numbers, some of which retuning would hide.
+    That is a share of what the least of the effects does at the fitted numbers, before any retuning hides a part.
     """
     others = [{n: x for n, x in h.fit.values.items() if n not in {p.name for p in c.parameters}} for c in h.effects]
     least = min(beyond_noise(r) for r in search.estimation.residuals(others))
