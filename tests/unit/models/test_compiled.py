@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import sys
 from importlib.machinery import SourceFileLoader
@@ -24,6 +25,19 @@ SPEC = spec_from_loader("wheel_script", LOADER)
 assert SPEC is not None
 WHEEL = module_from_spec(SPEC)
 LOADER.exec_module(WHEEL)
+
+
+def test_python_calls_no_kernel_that_is_only_inlined() -> None:
+    """A wheel has no code of these by themselves."""
+    for path in (ROOT / "models" / "printer").rglob("*.py"):
+        functions = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef)]
+        inlined = {f.name for f in functions if "inlined" in map(ast.unparse, f.decorator_list)}
+        called = {ast.unparse(n.func) for f in functions if not f.decorator_list for n in _calls(f)}
+        assert not inlined & called, path
+
+
+def _calls(function: ast.FunctionDef) -> list[ast.Call]:
+    return [n for n in ast.walk(function) if isinstance(n, ast.Call)]
 
 
 class Pair(NamedTuple):
