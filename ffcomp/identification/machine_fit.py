@@ -152,10 +152,10 @@ class StepwiseFit(MachineFit):
 
     @property
     def headline(self) -> str:
-        """How well the steps agree with themselves."""
+        """How well the steps describe their responses."""
         worst = max(self.result.steps, key=lambda step: step.consistency)
         return (
-            f"{len(self.result.steps)} steps of the paper's method; their redundant equations agree worst in "
+            f"{len(self.result.steps)} steps of the paper's method; its equations describe the responses worst in "
             f"{worst.title} (χ² {worst.consistency:.2f} per degree of freedom)."
         )
 
@@ -167,7 +167,7 @@ class StepwiseFit(MachineFit):
             for step in self.result.steps
             for fact in (
                 (step.title, f"χ² {step.consistency:.2f} per degree of freedom"),
-                *number_facts(step.joint.estimates),
+                *number_facts(step.estimates),
             )
         ]
 

@@ -33,18 +33,14 @@ from models.machine import Machine, value_of, with_values
 STIFFNESS = tuple(f"effector.extruder_stiffness_n_per_m[{i}]" for i in range(3))
 DAMPING = tuple(f"effector.extruder_damping_n_s_per_m[{i}]" for i in range(3))
 DRIVE = ("carriage.drive.d0_per_s2", "carriage.drive.d1_per_s", "carriage.drive.d2_per_s")
-UNKNOWNS = (
+CARRIAGE = (
     "carriage.mass_kg",
     "carriage.belt_stiffness_n_per_m",
     "carriage.belt_damping_n_s_per_m",
     "carriage.guide_damping_n_s_per_m",
-    *DRIVE,
-    "effector.nozzle_mass_kg",
-    "effector.extruder_mass_kg",
-    *STIFFNESS,
-    *DAMPING,
 )
 EFFECTOR_MASSES = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
+UNKNOWNS = (*CARRIAGE, *DRIVE, *EFFECTOR_MASSES, *STIFFNESS, *DAMPING)
 TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, as a scale shows it
 SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and fitted as its logarithm
 
@@ -94,6 +90,7 @@ class Fitted:
     weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
     delays_s: Mapping[str, Estimate]  # of each clock
     rotation_deg: Mapping[str, Estimate]  # of the accelerometer about x, y, z; empty: not of captures
+    covariance: FloatArray  # (p, p) of all that was fitted: logarithms of the unknowns first, in their order
     common_scale_sd: float  # relative, of all masses, stiffnesses and dampings together
     beside_scale: Mapping[str, Estimate]  # the unknowns, that common scale being given
     misfit: float  # χ² by degree of freedom against the measured noise alone
@@ -338,6 +335,7 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
         weak=_weak(problem, covariance),
         delays_s={clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
         rotation_deg={axis: normal(float(angle), float(spread)) for axis, angle, spread in angles},
+        covariance=covariance,
         common_scale_sd=scale_sd,
         beside_scale={name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
         misfit=float(chi) / (problem.count - len(theta)),

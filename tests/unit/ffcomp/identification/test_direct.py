@@ -35,7 +35,9 @@ def somewhere_else() -> Machine:
 
 
 def test_step_by_step_within_2_percent_and_dampings_within_10() -> None:
-    found = identify_as_paper(somewhere_else(), measured(TRUTH, paper_bench(COARSE), 43.0, 0), 0.651, 0.0005)
+    bench = measured(TRUTH, paper_bench(COARSE), 43.0, 0)
+    uncalibrated = [replace(r, value=1.2 * r.value) if r.setup == "effector" else r for r in bench]
+    found = identify_as_paper(somewhere_else(), uncalibrated, 0.651, 0.0005)
     for name in UNKNOWNS:
         close = 0.10 if "damping" in name else 0.02
         assert value_of(found.machine, name) == pytest.approx(value_of(TRUTH, name), rel=close), name
