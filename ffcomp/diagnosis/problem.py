@@ -35,7 +35,7 @@ class Parameter:
     def near(cls, name: str, start: float, sd: float) -> Parameter:
         """Return a parameter that stays within `REACH_SD` of its start; a positive one stays positive."""
         low = start - REACH_SD * sd
-        return cls(name, start, sd, max(low, 0.05 * start) if start > 0 else low, start + REACH_SD * sd)
+        return cls(name, start, sd, max(low, 0.001 * start) if start > 0 else low, start + REACH_SD * sd)
 
 
 def stem_of(name: str) -> str:
