@@ -257,18 +257,19 @@ class ForceBalance(AxisProblem):
     def _read(self, machine: Machine, coarse: bool, run: int) -> dict[str, FloatArray]:
         """Return the drive's force F̂ that the measured motion of a run needs, and where that takes a load.
 
-        Friction in proportion μ to the load grows with that force itself: F̂ = F₀ + μ t |F̂|, where t is the direction
-        of motion and F₀ the force that everything else needs. The measured force must not stand on this side: with it,
-        a share of one would explain any force.
+        Friction in proportion μ to the load grows with that force itself: F̂ = F₀ + μ t |F̂ − F_e|, where t is the
+        direction of motion, F₀ the force that everything else needs, and F_e the part of it that the back EMF takes.
+        The measured force must not stand on this side: with it, a share of one would explain any force.
         """
         axis, one, drive = axis_parameters(machine), self._driven[run], driven_axis(machine).drive
         needed = self._needed(machine, one, run, coarse)
         if share := axis.load_share:
-            force = np.abs(driven_axis(machine).force_of(one.run.drive, one.run.supply_v))
-            idle = replace(one, run=replace(one.run, drive=np.zeros_like(one.run.drive)))
-            without = self._needed(machine, idle, run, coarse)
-            direction = np.clip((needed - without) / np.maximum(force, 1e-12), -share, share)
-            needed = without / (1 - direction * np.sign(without))
+            emf = 1e-3 * axis.back_emf * one.speed
+            by_unit = driven_axis(machine).force_of(np.ones_like(emf), one.run.supply_v)
+            load = np.abs(driven_axis(machine).force_of(one.run.drive, one.run.supply_v) - emf)
+            without = self._needed(machine, replace(one, run=replace(one.run, drive=emf / by_unit)), run, coarse)
+            direction = np.clip((needed - without) / np.maximum(load, 1e-12), -share, share)
+            needed = emf + (without - emf) / (1 - direction * np.sign(without - emf))
         late = axis.delay * one.run.sample_rate_hz + (HELD if drive.hold == "steps" else 0.0)
         k = np.arange(len(needed))
         signals = {"force": np.interp(k + late, k, needed)}  # what acts later was recorded now

@@ -256,7 +256,7 @@ FRICTION_BY_LOAD = Effect(
     title="Dry friction that grows with the load on the drive",
     family="dry friction that grows with load",
     physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
-    equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
+    equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = drive's force less back EMF,  F_g = pull of gravity and springs",
     parameters=(
         amplitude("share", "μ: of the drive's force", (0, 0.99), (0.02, 0.4), 0.05, usual=lambda s: 1.0),
         shape(

@@ -111,8 +111,15 @@ class DrivenAxis(VibrationModel):
     @property
     def ground_damping(self) -> float:
         """Return the damping against the ground, N s/m, with the motor's back EMF where a voltage drives it."""
+        return self.damping_n_s_per_m + (self.back_emf if self.drive.resistance_ohm is not None else 0.0)
+
+    @property
+    def back_emf(self) -> float:
+        """Return what of the damping is the back EMF of a motor that a voltage drives, N s/m: all, if not stated."""
         by_voltage = self.input in ("voltage", "duty") or self.drive.gain_v_per_m > 0.0
-        return self.damping_n_s_per_m + (self.drive.back_emf if by_voltage else 0.0)
+        if not by_voltage:
+            return 0.0
+        return self.damping_n_s_per_m if self.drive.resistance_ohm is None else self.drive.back_emf
 
     @property
     def drive_limit_n(self) -> float:
@@ -237,6 +244,7 @@ class DrivenAxis(VibrationModel):
             "damping": self.ground_damping,
             "drive_damping": self.spring_damping,
             "drive_limit": self.drive_limit_n,
+            "back_emf": self.back_emf,
             "offset": self.offset_n,
             "load": self.load_mass_kg or 0.0,
             "coupling": self.coupling_stiffness_n_per_m or 0.0,

@@ -43,6 +43,7 @@ class AxisParameters(NamedTuple):
     by_force: float = 0.0  # 1: the input is a force
     drive_damping: float = 0.0  # N s/m, across the drive's spring
     drive_limit: float = math.inf  # N, of the drive
+    back_emf: float = 0.0  # N s/m of `damping`, which presses no teeth together
     dry: float = 0.0
     sticking: float = 0.0
     fading: float = 0.0
@@ -104,7 +105,7 @@ def _resistance(
         if p.sticking > 0.0:
             level = sliding_level(p.dry, p.sticking, ((v * p.fading) ** 2) ** p.fading_power)
         if p.load_share > 0.0:
-            level += p.load_share * (abs(drive) + p.held_share * abs(held))
+            level += p.load_share * (abs(drive - p.back_emf * v) + p.held_share * abs(held))
             creep = max(creep, p.creep_per_n * level)
         ratio = v / creep
         force += level * math.tanh(ratio + strain)

@@ -18,7 +18,7 @@ from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
 from models.effects.catalogue import with_effects
-from models.kinds import machine_of_axis
+from models.kinds import driven_axis, machine_of_axis
 from models.machine import Machine
 from models.printer.one_axis import simulate_axis, simulate_load
 from models.vibration.driven_axis import Drive, DrivenAxis
@@ -141,12 +141,16 @@ def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itsel
     quiet = turned(2, missing=False)
     _, v, a = _motion(np.arange(60, 2300) / 400.0, 0.5)
     rest = INERTIA * a + DAMPING * v
-    for share, drive in ((0.3, 1.0), (0.3, 40.0), (0.97, 1.0)):
-        runs = [replace(run, drive=drive * run.drive) for run in quiet.recordings if isinstance(run, AxisRun)]
-        balance = AxisProblem(with_effects(MOTOR, {"friction_by_load": {"share": share}}), runs, NAMES).compared()
+    recorded = [run for run in quiet.recordings if isinstance(run, AxisRun)]
+    volts = machine_of_axis("motor", DrivenAxis("voltage", INERTIA, 0.0, DAMPING, unit="rad"))
+    for machine, share, drive in ((MOTOR, 0.3, 1.0), (MOTOR, 0.3, 40.0), (MOTOR, 0.97, 1.0), (volts, 0.3, 1.0)):
+        given = driven_axis(machine).input
+        runs = [replace(run, drive=drive * run.drive, input=given) for run in recorded]
+        balance = AxisProblem(with_effects(machine, {"friction_by_load": {"share": share}}), runs, NAMES).compared()
         needed = np.concatenate(balance.simulate({}))[60:2300, 0]
-        forwards = np.where(rest > 0, 1 - share, 1 + share)
-        np.testing.assert_allclose(needed * forwards, rest, atol=0.01)
+        emf = DAMPING * v if machine is volts else 0.0 * v  # of a voltage, what turns the motor presses no teeth
+        forwards = np.where(rest > emf, 1 - share, 1 + share)
+        np.testing.assert_allclose((needed - emf) * forwards, rest - emf, atol=0.01)
 
 
 JOINT = DrivenAxis("force", 0.02, 0.0, 0.02, 0.012, 120.0, 0.05, unit="rad")
