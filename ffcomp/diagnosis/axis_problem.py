@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_parameters
+from ffcomp.diagnosis.candidates import axis_candidates, machine_parameters, machine_with
 from ffcomp.diagnosis.noise import SIMULATION_ERROR, density_of, noise_grid
 from ffcomp.diagnosis.observations import quick_length
 from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Observation, Parameter, Problem
@@ -40,7 +40,7 @@ from ffcomp.identification.axis_shots import (
 )
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import ComplexArray, FloatArray
-from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
+from models.effects.catalogue import CATALOGUE, catalogue_of
 from models.kinds import driven_axis
 from models.machine import Machine, with_values
 from models.printer.one_axis import axis_parameters, simulate_axis, simulate_load
@@ -186,8 +186,7 @@ class AxisProblem(Problem):
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's axis with these parameters and effects."""
-        plain = {name: x for name, x in values.items() if not name.startswith("effects.")}
-        return with_effects(with_values(self.machine, plain), effect_tables(values))
+        return machine_with(self.machine, values)
 
     def place_name(self, position: tuple[float, ...]) -> str:
         """Name a window of time."""

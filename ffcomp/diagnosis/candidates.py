@@ -26,6 +26,7 @@ from models.printer.one_axis import axis_effects
 BOTH = 9.0  # in place of an angle: alike in x and y
 USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
 PROBE = 0.1  # of a usual size: the signature of an axis' effect is taken there
+IN_FILE = "file."  # before the names of an effect's numbers that the file has: they are retuned as its others are
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
@@ -34,16 +35,39 @@ EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<ind
 
 
 def machine_parameters(machine: Machine) -> list[Parameter]:
-    """Return the parameters that may be retuned within their stated uncertainty."""
-    parameters = []
-    for name in machine.vibration.tunable:
-        value = value_of(machine, name)
-        table_key = name.partition("[")[0]
-        stated = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
+    """Return the numbers of the file, of its effects too, that may be retuned within their stated uncertainty."""
+    parameters, default = [], machine.uncertainty.get("default", 0.02)
+    numbers = {name: value_of(machine, name) for name in machine.vibration.tunable}
+    for name, value in (numbers | _sizes_in_file(machine)).items():
+        stated = machine.uncertainty.get(name.removeprefix(IN_FILE).partition("[")[0], default)
         relative = machine.vibration.guessed.get(name, stated)
         if value and relative:
             parameters.append(Parameter.near(name, value, relative * abs(value)))
     return parameters
+
+
+def _sizes_in_file(machine: Machine) -> dict[str, float]:
+    """Return how large the file says that its effects are, by name."""
+    sizes: dict[str, float] = {}
+    for effect, table in machine.effects.items():
+        for key in (a.name for a in CATALOGUE[effect].amplitudes if a.name in table):
+            name, several = f"{IN_FILE}effects.{effect}.{key}", isinstance(table[key], (list, tuple))
+            each = {f"{name}[{i}]": x for i, x in enumerate(table[key])} if several else {name: table[key]}
+            sizes |= {name: float(x) for name, x in each.items() if np.isfinite(x)}
+    return sizes
+
+
+def machine_with(machine: Machine, values: Mapping[str, float]) -> Machine:
+    """Return a machine with other numbers and with more effects, from parameters by their names."""
+    own = {name: x for name, x in values.items() if not name.startswith((IN_FILE, "effects."))}
+    effects = {name: dict(table) for name, table in machine.effects.items()}
+    for name, x in values.items():
+        if name.startswith(IN_FILE):
+            _, effect, key = name.removeprefix(IN_FILE).split(".")
+            key, _, index = key.removesuffix("]").partition("[")
+            table = effects[effect]
+            table[key] = [x if i == int(index) else y for i, y in enumerate(table[key])] if index else x
+    return with_effects(replace(with_values(machine, own), effects=effects), effect_tables(values))
 
 
 def with_replaced(machine: Machine, candidate: Candidate) -> Candidate:

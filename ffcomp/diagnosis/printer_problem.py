@@ -13,7 +13,7 @@ from itertools import chain, groupby, product
 
 import numpy as np
 
-from ffcomp.diagnosis.candidates import EFFECT_KEY, effect_tables, machine_parameters, printer_candidates
+from ffcomp.diagnosis.candidates import EFFECT_KEY, IN_FILE, machine_parameters, machine_with, printer_candidates
 from ffcomp.diagnosis.noise import BAND_HZ
 from ffcomp.diagnosis.observations import (
     Part,
@@ -40,7 +40,7 @@ from ffcomp.diagnosis.recording_clocks import (
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
-from models.machine import Machine, value_of, with_values
+from models.machine import Machine, value_of
 from models.printer.kernels.record import LANES
 from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, Splines, longest_step, simulate_printers
@@ -223,13 +223,11 @@ class PrinterProblem(Problem):
 
     def stated(self, values: Mapping[str, float], name: str) -> float:
         """Return what a file states of one of the machine's numbers: a mount lies between the modes of its axis."""
-        return value_of(self.machine_with(values), name)
+        return values[name] if name.startswith(IN_FILE) else value_of(self.machine_with(values), name)
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's machine with these parameters and effects."""
-        plain = {n: x for n, x in values.items() if not (n.startswith("effects.") or belongs_to_recording(n))}
-        machine = with_values(self.machine, plain)
-        return replace(machine, effects={**machine.effects, **effect_tables(values)})
+        return machine_with(self.machine, {n: x for n, x in values.items() if not belongs_to_recording(n)})
 
 
 @lru_cache(maxsize=4096)

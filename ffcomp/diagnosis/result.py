@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ffcomp.diagnosis.acceptance import undetermined
-from ffcomp.diagnosis.candidates import WHOLE, effect_tables
+from ffcomp.diagnosis.candidates import IN_FILE, WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.next_experiment import Separation
@@ -353,13 +353,22 @@ class DiagnosisResult:
 
     def _moved(self, fitted: Fit) -> list[tuple[str, float, Change]]:
         """Return the file's own numbers, those that moved furthest first: key, standard deviations, change."""
-        key, values = self.names.quantities.key, fitted.values
-        numbers = [
-            (key(n.name), float(z), Change(n.start, self.problem.stated(values, n.name)))
-            for n, z in zip(fitted.parameters, fitted.z, strict=True)
-            if of_machine(n.name)
-        ]
+        numbers = []
+        for n, z in zip(fitted.parameters, fitted.z, strict=True):
+            if of_machine(n.name):
+                scale = self.names.quantities.scale(n.name)
+                change = Change(scale * n.start, scale * self.problem.stated(fitted.values, n.name))
+                numbers.append((self._file_key(n.name), float(z), change))
         return sorted(numbers, key=lambda each: -abs(each[1]))
+
+    def _file_key(self, name: str) -> str:
+        """Return the key of one of the machine's numbers in its file."""
+        quantities = self.names.quantities
+        if not name.startswith(IN_FILE):
+            return quantities.key(name)
+        _, effect, key = name.removeprefix(IN_FILE).split(".")
+        key, bracket, index = key.partition("[")
+        return f"effects.{effect}.{key_in_file(effect, key, quantities)}{bracket}{index}"
 
     @cached_property
     def late_s(self) -> dict[str, float]:

@@ -134,6 +134,12 @@ def test_a_weight_is_named_although_it_hardly_changes_within_a_window() -> None:
     assert set(told.named) == {"pendulum_gravity", "coulomb_friction"}
     assert told.effects["pendulum_gravity"]["force_n"] == pytest.approx(0.8, rel=0.03)
     assert told.effects["coulomb_friction"]["force_n"] == pytest.approx(0.3, rel=0.1)
+    # a file that has the weight, and knows it to a tenth, has it retuned
+    known = replace(MOTOR, uncertainty={**MOTOR.uncertainty, "effects.pendulum_gravity.force_n": 0.1})
+    filed = AxisProblem(with_effects(known, {"pendulum_gravity": {"force_n": 0.72}}), runs, ("coulomb_friction",))
+    told = DiagnosisResult(search=diagnose(filed))
+    assert set(told.named) == {"coulomb_friction"}
+    assert told.retuned["effects.pendulum_gravity.current_a"].fitted == pytest.approx(0.8, rel=0.03)
 
 
 def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itself() -> None:
