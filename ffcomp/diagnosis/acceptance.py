@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, superfluous
+from ffcomp.diagnosis.fit import EstimationProblem, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, left_of
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.identification.uncertainty import Estimate
+from models.effects.catalogue import CATALOGUE
 
 AT_BOUND = 1e-6  # of a parameter's range: no nearer to its end is at it
 NARROW = 0.1  # of a number: a range that leaves no more open determines it
@@ -18,7 +19,6 @@ NARROW = 0.1  # of a number: a range that leaves no more open determines it
 
 def rejections(
     estimation: EstimationProblem,
-    base: Fit,
     best: Hypothesis,
     held_out: Sequence[HeldOut],
     intervals: Mapping[str, Estimate],
@@ -26,19 +26,21 @@ def rejections(
     """List the acceptance tests that a hypothesis fails, in words; none if it is accepted.
 
     What counts is the prediction where it was left out of the fit, all places or windows together: one with little
-    motion has little to explain, and weighs as little.
+    motion has little to explain, and weighs as little. By chance alone the likelihood ratio there is 1 on average, or
+    less, so that it is an e-value: of the families that are looked for none is named wrongly more often than
+    `false_discoveries` if it exceeds their number over that (e-BH: Wang & Ramdas, J. R. Stat. Soc. B 84, 2022).
     """
-    settings, failed = estimation.settings, []
-    if best.fit.ahead_of(base) < settings.significant:
-        failed.append("it is not significantly better than retuning alone")
+    settings, failed = estimation.settings, list[str]()
+    families = len({CATALOGUE[c.name].cause for c in estimation.problem.candidates})
+    by_chance = 2 * np.log(families / settings.false_discoveries) * best.fit.overdispersion
     if not held_out:
         failed.append("it was tested nowhere else: there is one experiment only")
     else:
         rows = sum(one.rows for one in held_out)
         gained = sum((one.before - one.after) * one.rows for one in held_out)
         left = sum(max(one.after, 0.0) * one.rows for one in held_out)
-        if gained < settings.significant:
-            failed.append("data left out of the fit are simulated no better with it")
+        if gained < by_chance:
+            failed.append("data left out of the fit are simulated no better with it than by chance")
         elif left / rows > estimation.tolerance and (share := left_of(held_out)) > settings.left:
             failed.append(f"{100 * share:.0f} % of the discrepancy is left where it was left out of the fit")
     failed += unfounded(best, intervals)

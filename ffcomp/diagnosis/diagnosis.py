@@ -104,6 +104,16 @@ class Diagnosis:
         best = self.searched or self.best
         return 0.0 if best is None else best.fit.ahead_of(h.fit) / self.share
 
+    def posterior(self, cause: str) -> float:
+        """Return the probability that an effect of this cause is there, of all that was tried, and of none."""
+        best = self.searched or self.best
+        if best is None:
+            return 0.0
+        behind = np.array([*map(self.behind, self.tried), best.fit.ahead_of(self.base) / self.share])
+        likely = np.exp(-0.5 * np.clip(behind, 0.0, 1e3))
+        having = [cause in h.causes for h in self.tried]
+        return float(likely[:-1] @ having / likely.sum())
+
     @property
     def invisible(self) -> list[str]:
         """Effects of which these recordings could not show a usual size."""
@@ -281,7 +291,7 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     estimation, tried = none.estimation, searched.selection.tried
     intervals = _proven_intervals(none, best, progress)
     held_out = hold_out(estimation, none.base, best.fit)
-    failed = tuple(rejections(estimation, none.base, best, held_out, intervals))
+    failed = tuple(rejections(estimation, best, held_out, intervals))
     estimation.trace.add("accept", best.names, outcome="refused" if failed else "kept", reason="; ".join(failed))
     there = searched.selection.best
     if best.names != there.names:  # a smaller rival, or fewer effects

@@ -100,7 +100,7 @@ class FoundEffect:
     name: str
     family: str  # what it is, whatever its law; or its name
     parameters: Mapping[str, Interval]  # by the machine file's key
-    confidence: float  # against the best that was tried without it
+    confidence: float  # posterior probability, of all that was tried
     evidence: float  # −2 ln Z gained against retuning alone, of all effects
 
 
@@ -225,15 +225,11 @@ class DiagnosisResult:
         return FoundEffect(name, family, self.parameters(name), self._confidence(name), ahead)
 
     def _confidence(self, effect: str) -> float:
-        """Compute the probability against the best hypothesis without its cause, both equally likely beforehand."""
-        search = self.search
-        assert search.best is not None
-        behind = [search.behind(h) for h in search.tried if CATALOGUE[effect].cause not in h.causes]
-        nearest = min([*behind, search.best.fit.ahead_of(search.base)])
-        sure = float(1 / (1 + np.exp(-np.clip(nearest / 2, -50, 50))))
+        """Return the posterior probability of its cause."""
         # tested at one place, or wrong numbers of the file would explain as much: at most so sure
         tested = 1.0 if self.gap.left_out in ("places", "windows") else 0.9
-        return min(sure, tested, 1.0 if search.file_off is None else 0.5)
+        told = 1.0 if self.search.file_off is None else 0.5
+        return min(self.search.posterior(CATALOGUE[effect].cause), tested, told)
 
     def parameters(self, effect: str) -> dict[str, Interval]:
         """Return value, low and high of one effect by the machine file's keys."""

@@ -43,6 +43,7 @@ class SearchSettings:
     excerpt_information: float = _setting(3000.0, "χ²", "of a discrepancy in an excerpt that decides as all data do")
     coarse_error: float = _setting(1e-3, "of |r|²", "error of coarse simulations, at most")
     # ---- acceptance ----
+    false_discoveries: float = _setting(0.01, "of what is named", "by chance alone, however many are looked for", "1 %")
     left: float = _setting(0.05, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
     dominant: float = _setting(0.6, "of the discrepancy", "what an effect must explain, as the second or with a rest")
     ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
