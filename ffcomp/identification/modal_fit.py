@@ -26,8 +26,6 @@ from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE, Datum, Spectrum
@@ -46,7 +44,7 @@ SEARCHED = FitSettings(steps=8, gain=0.05)  # from each start
 REFINED = FitSettings(rounds=10, gain=1e-4)
 AS_IT_IS = FitSettings(steps=0, rounds=1)  # errors and derivatives where another fit has ended
 START_SHARE = 0.8  # of the first of two modes
-STARTS, PEAKS = 6, 2  # frequencies tried for each mode: evenly over the band, and where the data stand highest
+STARTS = 6  # frequencies tried for each mode, evenly over the band
 OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor
 BROADEST = 0.4  # damping ratio of a resonance
 BETTER_BIC = 2.0  # least gain of a second mode
@@ -193,11 +191,11 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
 
 def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
     """Fit one mode and two, and return the accepted fit, and why."""
-    peaks, (low, high) = _peaks(data), _band(data)
-    starts = [*peaks, *(np.log([[f, START_DAMPING]]) for f in np.geomspace(1.2 * low, 0.95 * high, STARTS))]
+    low, high = _band(data)
+    starts = [np.log([[f, START_DAMPING]]) for f in np.geomspace(1.2 * low, 0.95 * high, STARTS)]
     one = _refined(_searched(data, starts, 1))
-    firsts = [np.log(_modes(one)[:, :2]), *peaks]
-    two = _refined(_searched(data, [np.vstack([first, second]) for first in firsts for second in starts], 2))
+    first = np.log(_modes(one)[:, :2])
+    two = _refined(_searched(data, [np.vstack([first, second]) for second in starts], 2))
     return _accepted(name, one, two)
 
 
@@ -234,13 +232,6 @@ def _main(found: _Fit) -> FloatArray:
 
 def _band(data: Sequence[Datum]) -> tuple[float, float]:
     return min(float(d.frequency_hz[0]) for d in data), max(float(d.frequency_hz[-1]) for d in data)
-
-
-def _peaks(data: Sequence[Datum]) -> list[FloatArray]:
-    """Return starts (1, 2), ln f and ln ζ, where the first datum stands highest; half levelled, as noise then rises."""
-    answer = gaussian_filter1d(np.log(np.abs(data[0].value) * np.sqrt(data[0].level) + 1e-300), 1.0)
-    tops, _ = find_peaks(answer)
-    return [np.log([[data[0].frequency_hz[at], START_DAMPING]]) for at in tops[np.argsort(-answer[tops])][:PEAKS]]
 
 
 def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -> _Fit:
