@@ -89,18 +89,25 @@ class Spectrum:
         return np.array([[-np.inf, np.inf], [lowest - NO_FLOOR, lowest + 1.0]])
 
     @cached_property
-    def _lines(self) -> WindowedPower:
+    def lines(self) -> WindowedPower:
+        """What its lines show of a response."""
         return WindowedPower(self.frequency_hz, float(self.frequency_hz[1] - self.frequency_hz[0]))
 
     def begin(self, modes: FloatArray) -> FloatArray:
         """Estimate ln g and ln c with given modes."""
+        return self.begin_at(self.lines.power(closed_form(modes, self.lines.fine_hz)))
+
+    def begin_at(self, power: FloatArray) -> FloatArray:
+        """Estimate ln g and ln c with a given power (k,) through the window."""
         floor = float(np.log(self.value.min())) - 1.0
-        ratio = np.log(self.value / self.model(modes, np.array([0.0, -100.0])))
-        return np.array([np.average(ratio, weights=1 / self.observed.variance(1.0)), floor])
+        return np.array([np.average(np.log(self.value / power), weights=1 / self.observed.variance(1.0)), floor])
 
     def model(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Predict the power through the window."""
-        power = self._lines.power(closed_form(modes, self._lines.fine_hz))
+        return self.shown(self.lines.power(closed_form(modes, self.lines.fine_hz)), nuisance)
+
+    def shown(self, power: FloatArray, nuisance: FloatArray) -> FloatArray:
+        """Return what is measured of a power (k,) through the window."""
         return np.asarray(np.exp(nuisance[0]) * power + np.exp(nuisance[1]))
 
     @cached_property
@@ -121,10 +128,10 @@ class Spectrum:
 
     def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Differentiate the prediction: (k, p)."""
-        fine = self._lines.fine_hz
+        fine = self.lines.fine_hz
         response, slopes = closed_form(modes, fine), closed_form_slopes(modes, fine)
         gain, floor = np.exp(nuisance)
-        power, by_modes = gain * self._lines.power(response), gain * self._lines.slopes(response, slopes)
+        power, by_modes = gain * self.lines.power(response), gain * self.lines.slopes(response, slopes)
         columns = np.stack([*by_modes, power, np.full_like(power, floor)], axis=1)
         return np.asarray(columns / (power + floor)[:, None])
 

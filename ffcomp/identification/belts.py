@@ -24,7 +24,7 @@ from ffcomp.identification.resonance_tests import BeltTest, direction_name
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
 from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
-from ffcomp.measurement.modal import WindowedPower, single_modes
+from ffcomp.measurement.modal import single_modes
 from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -113,8 +113,6 @@ class _Problem(EstimationProblem):
         self.kind, self.names, self.tests = kind, names, tests
         self.rows = rows  # (m, 2) motion of each motor or carriage by x and y
         self.free_ratio = free_ratio  # of the masses along y and x
-        grids = (test.spectrum.frequency_hz for test in tests)
-        self.lines = tuple(WindowedPower(grid, float(grid[1] - grid[0])) for grid in grids)
         (lowest, highest), (least, most) = np.log(FREQUENCY_LIMITS), np.log(DAMPING_LIMITS)
         damping = Unknown("ln damping", float(np.log(START_DAMPING)), LOG_DAMPING_SD, float(least), float(most), STEP)
         self.unknowns = [
@@ -149,13 +147,13 @@ class _Problem(EstimationProblem):
         frequency, shape = self.modes(theta)
         mass = np.array([1.0, np.exp(theta[1])]) if self.free_ratio else np.ones(2)
         moved: FloatArray = shape * (shape.T @ (mass * self.tests[number].direction))  # (2, modes)
-        lines = self.lines[number]
+        lines = self.tests[number].spectrum.lines
         along = np.tensordot(moved, single_modes(frequency, np.exp(theta[2:4]), lines.fine_hz), axes=1)  # (2, k, w)
         return np.asarray(lines.power(along[0]) + lines.power(along[1]))
 
     def model(self, number: int, theta: FloatArray) -> FloatArray:
-        gain, floor = theta[self.shared + 2 * number : self.shared + 2 * number + 2]
-        return np.exp(gain) * self.power(number, theta) + np.exp(floor)
+        nuisance = theta[self.shared + 2 * number : self.shared + 2 * number + 2]
+        return self.tests[number].spectrum.shown(self.power(number, theta), nuisance)
 
     def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
         for theta in lanes:
@@ -192,10 +190,8 @@ def _starts(problem: _Problem) -> list[FloatArray]:
         for frequency in FREQUENCIES:
             theta = np.zeros(problem.shared + 2 * len(problem.tests))
             theta[:4] = np.log([frequency, ratio, START_DAMPING, START_DAMPING])
-            for number, test in enumerate(problem.tests):
-                s = test.spectrum
-                gain = np.mean(np.log(s.value / problem.power(number, theta)))
-                theta[problem.shared + 2 * number :][:2] = gain, np.log(s.value.min()) - 1.0
+            own = [test.spectrum.begin_at(problem.power(n, theta)) for n, test in enumerate(problem.tests)]
+            theta[problem.shared :] = np.concatenate(own)
             starts.append(theta)
     return starts
 
