@@ -12,9 +12,9 @@ import numpy as np
 from ffcomp.errors import RequestError
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
 from ffcomp.identification.machine_fit import MachineFit, Origin, hash_of, number_facts
-from ffcomp.identification.uncertainty import Estimate, normal
+from ffcomp.identification.uncertainty import Estimate, Number, estimates
 from ffcomp.inference.fit import FitSettings, fit
-from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
+from ffcomp.inference.problem import EstimationProblem, Observation
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.stages import Stage
 from ffcomp.result import Fact
@@ -26,7 +26,7 @@ MASS, OFFSET, OFFSET_SHARE = "axis.mass_kg", "axis.offset_n", 0.1
 FINAL = FitSettings(rounds=5)
 BLOCKS = 60  # of a run: residuals are alike within a block, and independent between blocks
 NOISE = 1e-6  # of a signal: less is not resolved
-LOWEST, HIGHEST = 1e-3, 1e3  # times the file's value
+STEP, FARTHEST = 1e-6, (-7.0, 7.0)  # of differences; of the file's value, logarithms
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -99,11 +99,9 @@ def fit_runs(
         raise RequestError(f"--known {unknown[0]}: this axis has {', '.join(names)}.")
     kept = [] if driven_axis(start).by_force or known else [MASS]
     problem = _Problem(start, shots, [n for n in names if n not in kept], known)
-    first = np.array([value_of(start, n) for n in problem.names]) / problem.scale
+    first = np.zeros(len(problem.numbers))
     found = fit(problem, first, FINAL)
-    sd = np.sqrt(np.diag(found.covariance)) * problem.scale
-    each = zip(problem.names, (found.values * problem.scale).tolist(), sd.tolist(), strict=True)
-    estimates = {key: normal(value, spread) for key, value, spread in each}
+    fitted = estimates(problem.numbers, found.values, np.diag(found.covariance))
     before, after = (
         float(np.sqrt(np.mean(simulated[: -len(known) or None] ** 2)))
         for simulated in (problem.measured - each for each in problem.simulate([first, found.values]))
@@ -113,12 +111,12 @@ def fit_runs(
         start=start,
         data=hashes,
         name=name,
-        text=origin.text_of(estimates, "fit", nrms=after) if start.path else "",
+        text=origin.text_of(fitted, "fit", nrms=after) if start.path else "",
         advice=[
             *found.doubt(start.name),
             *(f"{key} is unchanged: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
         ],
-        estimates=estimates,
+        estimates=fitted,
         before=before,
         after=after,
         kept=kept,
@@ -126,18 +124,15 @@ def fit_runs(
 
 
 class _Problem(EstimationProblem):
-    """Unknowns are the axis' numbers in the file's own values; measured are signals over the size of their motion."""
+    """Unknowns are the axis' numbers; measured are signals over the size of their motion."""
 
     def __init__(
         self, start: Machine, shots: Sequence[Shots], names: Sequence[str], known: Mapping[str, tuple[float, float]]
     ) -> None:
-        self.start, self.shots, self.names, self.known = start, shots, names, known
-        offset = OFFSET_SHARE * scales_of(start, shots).force_n
-        self.scale = np.array([offset if n == OFFSET else value_of(start, n) for n in names])  # (p,)
-        low, high = (
-            np.where(np.array(names) == OFFSET, far, near) for far, near in ((-np.inf, LOWEST), (np.inf, HIGHEST))
-        )
-        self.unknowns = [Unknown(n, low=a, high=b) for n, a, b in zip(names, low.tolist(), high.tolist(), strict=True)]
+        self.start, self.shots, self.known = start, shots, known
+        units = {OFFSET: OFFSET_SHARE * scales_of(start, shots).force_n}
+        self.numbers = [Number(name, value_of(start, name), unit=units.get(name, 0.0)) for name in names]
+        self.unknowns = [each.unknown(STEP, *((-np.inf, np.inf) if each.unit else FARTHEST)) for each in self.numbers]
         self.sizes = _sizes(shots)
         certain = [Observation(np.array([value]), np.array([sd**2])) for value, sd in known.values()]
         self.observations = [*(self._observed(one) for one in shots), *certain]
@@ -151,7 +146,7 @@ class _Problem(EstimationProblem):
     def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
         """Simulate all runs, then the known numbers; gaps are zero."""
         for x in lanes:
-            values = dict(zip(self.names, (x * self.scale).tolist(), strict=True))
+            values = {each.name: each.value(float(at)) for each, at in zip(self.numbers, x, strict=True)}
             machine = with_values(self.start, values)
             yield np.concatenate([*(self._one(one, machine) for one in self.shots), [values[n] for n in self.known]])
 

@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from ffcomp.errors import RequestError, SolverError
 from ffcomp.identification.axis_spectra import observed_response
 from ffcomp.identification.predict import predicted
-from ffcomp.identification.uncertainty import Estimate, lognormal, normal
+from ffcomp.identification.uncertainty import Estimate, Number, estimates, normal
 from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
-from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
+from ffcomp.inference.problem import EstimationProblem, Observation
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.serialise import keys
 from ffcomp.numerics.stages import Now, Stage
@@ -42,11 +42,10 @@ CARRIAGE = (
 EFFECTOR_MASSES = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 UNKNOWNS = (*CARRIAGE, *DRIVE, *EFFECTOR_MASSES, *STIFFNESS, *DAMPING)
 TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, as a scale shows it
-SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and fitted as its logarithm
+SIGNED = {"carriage.drive.d1_per_s": 100.0}  # with its unit; every other parameter is positive
 
 PRIOR_SD = 1.0  # of the logarithm of an unknown parameter: a factor of e
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
-SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
 ROTATION_SD_DEG = 3.0  # of an accelerometer against the printer's axes
 ROTATION_UNIT = float(np.radians(ROTATION_SD_DEG)) / PRIOR_SD
@@ -181,55 +180,39 @@ class _Problem(EstimationProblem):
             )
         self.clocks = tuple(sorted({r.clock for r in responses} - {""}))
         self.captures = of_one_capture(responses)  # (g, 3) the responses of one accelerometer along x, y, z
-        angles = "xyz" if len(self.captures) else ""
-        means = {name: _unknown(name, value_of(start, name)) for name in self.names}
-        means |= dict.fromkeys([*(f"delay of {clock}" for clock in self.clocks), *angles], 0.0)
-        self.unknowns = [Unknown(name, mean, PRIOR_SD, step=STEP) for name, mean in means.items()]
+        self.angles = tuple(f"about {axis}" for axis in "xyz") if len(self.captures) else ()
+        units = SIGNED | dict.fromkeys(self.clocks, DELAY_UNIT_S) | dict.fromkeys(self.angles, ROTATION_UNIT)
+        starts = {name: value_of(start, name) or 1e-12 for name in self.names}
+        starts |= dict.fromkeys((*self.clocks, *self.angles), 0.0)
+        self.numbers = [Number(name, at, PRIOR_SD, units.get(name, 0.0)) for name, at in starts.items()]
+        self.unknowns = [number.unknown(STEP) for number in self.numbers]
         certain = [Observation(np.array([value]), np.array([sd**2])) for value, sd in known.values()]
         self.observations = [*map(observed_response, responses), *certain]
         self.count = 2 * sum(len(r.value) for r in responses)  # of measured values
 
-    @property
-    def end_of_clocks(self) -> int:
-        """Where the rotation's angles begin in θ."""
-        return len(self.names) + len(self.clocks)
-
-    @property
-    def mean(self) -> FloatArray:
-        """(p,) the starting machine."""
-        return self.prior[0]
-
-    def parameters(self, theta: FloatArray) -> dict[str, float]:
-        return {name: _parameter(name, t) for name, t in zip(self.names, theta, strict=False)}
+    def values(self, theta: FloatArray) -> dict[str, float]:
+        return {each.name: each.value(float(x)) for each, x in zip(self.numbers, theta, strict=True)}
 
     def machine(self, theta: FloatArray) -> Machine:
-        return with_values(self.start, self.parameters(theta))
+        values = self.values(theta)
+        return with_values(self.start, {name: values[name] for name in self.names})
 
     def model(self, theta: FloatArray) -> list[ComplexArray]:
-        responses = predicted(self.machine(theta), self.responses)
-        if len(self.captures):
-            responses = rotated(responses, self.captures, ROTATION_UNIT * theta[self.end_of_clocks :])
-        delays = dict(zip(self.clocks, DELAY_UNIT_S * theta[len(self.names) : self.end_of_clocks], strict=True))
+        values, responses = self.values(theta), predicted(self.machine(theta), self.responses)
+        if self.angles:
+            responses = rotated(responses, self.captures, np.array([values[angle] for angle in self.angles]))
         return [
-            h * np.exp(-2j * np.pi * r.frequency_hz * delays.get(r.clock, 0.0))
+            h * np.exp(-2j * np.pi * r.frequency_hz * values.get(r.clock, 0.0))
             for h, r in zip(responses, self.responses, strict=True)
         ]
 
     def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
         """Predict real, then imaginary parts of each response, then the known parameters."""
         for theta in lanes:
-            values = self.parameters(theta)
+            values = self.values(theta)
             values[TOTAL_MASS] = _total_mass(self.start, values)
             parts = [part for h in self.model(theta) for part in (h.real, h.imag)]
             yield np.concatenate([*parts, [values[name] for name in self.known]])
-
-
-def _unknown(name: str, value: float) -> float:
-    return value / SIGNED_UNIT if name in SIGNED else float(np.log(max(value, 1e-12)))
-
-
-def _parameter(name: str, theta: float) -> float:
-    return float(theta * SIGNED_UNIT if name in SIGNED else np.exp(min(max(theta, -30.0), 30.0)))
 
 
 def _total_mass(start: Machine, values: Mapping[str, float]) -> float:
@@ -293,23 +276,13 @@ def _tries(problem: _Problem) -> Iterator[FloatArray]:
 
 
 def _with(problem: _Problem, values: Mapping[str, float]) -> FloatArray:
-    theta = problem.mean.copy()
-    for name, value in values.items():
-        theta[problem.names.index(name)] = _unknown(name, value)
-    return theta
+    return np.array([each.at(values.get(each.name, each.start)) for each in problem.numbers])
 
 
 def _faster(problem: _Problem, factor: float) -> FloatArray:
     """Multiply every natural frequency of the starting machine; keep the damping ratios."""
-    theta = problem.mean.copy()
-    for i, name in enumerate(problem.names):
-        if "stiffness" in name or name.endswith("d0_per_s2"):
-            theta[i] += 2 * np.log(factor)
-        elif "damping" in name or name.endswith("d2_per_s"):
-            theta[i] += np.log(factor)
-        elif name in SIGNED:
-            theta[i] *= factor
-    return theta
+    powers = {name: 2 if "stiffness" in name or "d0" in name else 1 for name in problem.names if "mass" not in name}
+    return _with(problem, {n.name: n.start * factor ** powers[n.name] for n in problem.numbers if n.name in powers})
 
 
 # ---- the result ----------------------------------------------------------------------------------
@@ -317,27 +290,22 @@ def _faster(problem: _Problem, factor: float) -> FloatArray:
 
 def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
     theta, covariance = fitted.values, fitted.covariance
-    sd = np.sqrt(np.diag(covariance))
-    values = problem.parameters(theta)
-    estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
-    of_clocks = slice(len(problem.names), problem.end_of_clocks)
-    clocks = zip(problem.clocks, theta[of_clocks], sd[of_clocks], strict=True)
+    sd, values = np.sqrt(np.diag(covariance)), problem.values(theta)
+    found = estimates(problem.numbers, theta, sd**2)
+    of_machine = {name: found[name] for name in problem.names}
     scale_sd, beside = _beside_common_scale(problem, values, covariance)
     total = _total_mass(problem.start, values)
-    estimates[TOTAL_MASS] = normal(total, total * scale_sd)
-    degrees = float(np.degrees(ROTATION_UNIT))
-    angles = zip("xyz", degrees * theta[problem.end_of_clocks :], degrees * sd[problem.end_of_clocks :], strict=False)
     noise = np.concatenate([o.noise for o in problem.observations])
     chi = np.sum(((fitted.residual * fitted.sd) ** 2 / noise)[: problem.count])
     return Fitted(
         machine=problem.machine(theta),
-        estimates=estimates,
+        estimates=of_machine | {TOTAL_MASS: normal(total, total * scale_sd)},
         weak=_weak(problem, covariance),
-        delays_s={clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
-        rotation_deg={axis: normal(float(angle), float(spread)) for axis, angle, spread in angles},
+        delays_s={clock: found[clock] for clock in problem.clocks},
+        rotation_deg={angle[-1]: found[angle].scaled(float(np.degrees(1.0))) for angle in problem.angles},
         covariance=covariance,
         common_scale_sd=scale_sd,
-        beside_scale={name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
+        beside_scale=estimates(problem.numbers[: len(problem.names)], theta, beside),
         misfit=float(chi) / (problem.count - len(theta)),
         evidence=fitted.evidence,
         model_errors=fitted.errors[: len(problem.responses)],
@@ -351,7 +319,7 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
 def _beside_common_scale(
     problem: _Problem, values: Mapping[str, float], covariance: FloatArray
 ) -> tuple[float, FloatArray]:
-    """Return the sd of all masses, stiffnesses and dampings together, and each unknown's (p,) where that is given.
+    """Return the sd of all masses, stiffnesses and dampings together, and each unknown's variance (p,) given that.
 
     Without a force or a weight, motion determines their ratios only: so they are uncertain all together. Their scale is
     taken to be the effector's mass, which is what one can weigh.
@@ -362,12 +330,8 @@ def _beside_common_scale(
     along = covariance @ weight
     variance = float(weight @ along)
     if variance == 0.0:  # the effector's masses are not fitted
-        return 0.0, np.sqrt(np.diag(covariance))
-    return float(np.sqrt(variance)), np.sqrt(np.maximum(np.diag(covariance) - along**2 / variance, 0.0))
-
-
-def _estimate(name: str, value: float, sd: float) -> Estimate:
-    return normal(value, SIGNED_UNIT * sd) if name in SIGNED else lognormal(value, sd)
+        return 0.0, np.diag(covariance)
+    return float(np.sqrt(variance)), np.maximum(np.diag(covariance) - along**2 / variance, 0.0)
 
 
 WEAK_SD = 0.1  # a parameter known worse than 10 % is weak

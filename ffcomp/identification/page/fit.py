@@ -24,7 +24,7 @@ as wide as by leaving out strokes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -35,7 +35,7 @@ from scipy.signal import lfilter
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.page.lines import STEP_MM, ReadLine
-from ffcomp.identification.uncertainty import Estimate, lognormal, normal
+from ffcomp.identification.uncertainty import Estimate, Number, estimates, lognormal, normal
 from ffcomp.inference.fit import FitResult, FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown, model_error
 from ffcomp.numerics.stages import Stage
@@ -143,27 +143,10 @@ class PageFit:
         return {key: sizes, PRESLIDING: float(f"{bends.value:.3g}")}
 
 
-@dataclass(frozen=True, eq=False)
-class Number:
-    """A number that a page determines, and its prior."""
-
-    name: str
-    start: float
-    sd: float  # of the logarithm; of a number around zero, its own
-
-    def value(self, x: float) -> float:
-        """Return the number so far, by its logarithm, from where it starts."""
-        return float(self.start * np.exp(x)) if self.start else x
-
-    def at(self, value: float) -> float:
-        """Return where the number is at a value."""
-        return float(np.log(value / self.start)) if self.start else value
-
-    @property
-    def unknown(self) -> Unknown:
-        """The number as a fit moves it."""
-        low = LEAST_FRICTION if self.name in FRICTION else -FARTHEST * self.sd
-        return Unknown(self.name, 0.0, self.sd, low, FARTHEST * self.sd, DIFFERENCE * self.sd)
+def _unknown(number: Number) -> Unknown:
+    """Return a number as a fit moves it."""
+    low = LEAST_FRICTION if number.name in FRICTION else -FARTHEST * number.sd
+    return number.unknown(DIFFERENCE * number.sd, low, FARTHEST * number.sd)
 
 
 class _Page(EstimationProblem):
@@ -201,8 +184,8 @@ class _Page(EstimationProblem):
                 zip(_second(axis), [(first, SECOND_HZ_SD), SECOND_DAMPING, (share, SHARE_SD)], strict=True)
             )
             nuisances[f"ring_{axis}"] = SAME
-        self.numbers = [*of_machine, *(Number(n, m, sd) for n, (m, sd) in nuisances.items() if sd)]
-        self.unknowns = [number.unknown for number in self.numbers]
+        self.numbers = [*of_machine, *(Number(n, m, sd, not m) for n, (m, sd) in nuisances.items() if sd)]
+        self.unknowns = list(map(_unknown, self.numbers))
         self.moves = np.array(
             ["." in n.name or n.name.startswith(("friction", "presliding", "second")) for n in self.numbers]
         )
@@ -492,13 +475,12 @@ def _starts(page: _Page) -> list[FloatArray]:
 
 def _rings_more(found: FitResult[_Page]) -> dict[str, float]:
     """Return by how much the straight axes ring more than their one mode in the file, where that is strong and sure."""
-    page, more = found.problem, dict[str, float]()
-    sd, values = np.sqrt(np.diag(found.covariance)), page.values(found.values)
+    each = estimates(found.problem.numbers, found.values, np.diag(found.covariance))
+    more = dict[str, float]()
     for axis in "xy":
-        ring = lognormal(values[f"ring_{axis}"], float(sd[page.index(f"ring_{axis}")]))
-        one = f"axes.{axis}.frequency_hz[0]" in values and _second(axis)[0] not in values
-        if one and ring.low > 1.0 + STRONG:
-            more[axis] = ring.value - 1.0
+        one = f"axes.{axis}.frequency_hz[0]" in each and _second(axis)[0] not in each
+        if one and each[f"ring_{axis}"].low > 1.0 + STRONG:
+            more[axis] = each[f"ring_{axis}"].value - 1.0
     return more
 
 
@@ -533,13 +515,12 @@ def _with_second_modes(found: FitResult[_Page]) -> FitResult[_Page]:
     return final if final.deviance < found.deviance else found
 
 
-def _named(found: FitResult[_Page], covariance: FloatArray) -> list[str]:
+def _named(axes: Iterable[str], found: Mapping[str, Estimate]) -> list[str]:
     """Return the axes whose second mode is strong, with a wave that tells its frequency and its damping."""
-    page, sd, named = found.problem, np.sqrt(np.diag(covariance)), list[str]()
-    for axis in page.second:
-        hz, damping, share = map(page.index, _second(axis))
-        strong = lognormal(page.numbers[share].value(float(found.values[share])), float(sd[share])).low > STRONG
-        if strong and sd[hz] < TOLD and sd[damping] < SECOND_DAMPING[1]:
+    named = []
+    for axis in axes:
+        hz, damping, share = (found[name] for name in _second(axis))
+        if share.low > STRONG and hz.relative_sd < TOLD and damping.relative_sd < SECOND_DAMPING[1]:
             named.append(axis)
     return named
 
@@ -594,28 +575,19 @@ def _shown(result: FitResult[_Page]) -> _Shown:
 
 def _result(fitted: FitResult[_Page]) -> PageFit:
     page, shown, covariance = fitted.problem, _shown(fitted), _covariance(fitted)
-    second = _named(fitted, covariance)
-    estimates, bead, kept = {}, {}, []
-    for i, each in enumerate(page.numbers):
-        value, sd = each.value(float(fitted.values[i])), float(np.sqrt(covariance[i, i]))
-        if i < page.of_machine:
-            estimates[each.name] = lognormal(abs(value), sd).scaled(float(np.sign(value)))
-            if sd > WORST_HELD * each.sd:
-                kept.append(each.name)
-            continue
-        if "." in each.name:
-            if each.name.split(".")[1] in second:
-                estimates[each.name] = lognormal(value, sd)
-            continue
-        bead[each.name] = lognormal(value, sd) if each.start else normal(value, sd)
-        if each.name in FRICTION:
-            bead[each.name] = replace(bead[each.name], low=max(bead[each.name].low, 0.0))
-    estimates |= {f"axes.{axis}.share[1]": bead[_second(axis)[2]].scaled(-1.0) for axis in second}
+    found = estimates(page.numbers, fitted.values, np.diag(covariance))
+    second, of_machine = _named(page.second, found), page.numbers[: page.of_machine]
+    told = {each.name: found[each.name] for each in of_machine}
+    kept = [each.name for each in of_machine if found[each.name].relative_sd > WORST_HELD * each.sd]
+    bead = {name: each for name, each in found.items() if "." not in name}
+    bead |= {name: replace(bead[name], low=max(bead[name].low, 0.0)) for name in FRICTION if name in bead}
+    told |= {name: found[name] for axis in second for name in _second(axis)[:2]}
+    told |= {f"axes.{axis}.share[1]": bead[_second(axis)[2]].scaled(-1.0) for axis in second}
     places, machine = _modes(fitted, covariance, second), page.machine_at(fitted.values, second)
     rough = float(np.median([np.sqrt(each.noise[0]) for each in page.observations]))
     return PageFit(
         machine,
-        estimates,
+        told,
         kept,
         places,
         bead,
@@ -649,9 +621,7 @@ def _check_conditions(fitted: FitResult[_Page]) -> None:
     tried = (fit(free, trials[int(i)], BEGIN, errors=errors) for i in np.argsort(costs)[:TRIED])
     fitted = min(tried, key=lambda each: each.cost)
     shown = _shown(fitted)
-    sds = np.sqrt(np.diag(_covariance(fitted))).tolist()
-    each = zip(free.numbers, fitted.values.tolist(), sds, strict=True)
-    found = {number.name: lognormal(number.value(x), spread) for number, x, spread in each}
+    found = estimates(free.numbers, fitted.values, np.diag(_covariance(fitted)))
     speed = found["speed"]
     weak = {axis: found[f"ring_{axis}"] for axis in "xy" if found[f"ring_{axis}"].high < SAME_RING}
     enough = shown.gain >= LEAST_GAIN and shown.unexplained < MOST_UNEXPLAINED
