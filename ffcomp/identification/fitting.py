@@ -39,7 +39,7 @@ from ffcomp.identification.machine_fit import (
     hash_of,
 )
 from ffcomp.identification.modal_fit import AxisFit
-from ffcomp.identification.output_error import EFFECTOR_MASSES, TOTAL_MASS, UNKNOWNS
+from ffcomp.identification.output_error import EFFECTOR_MASSES, TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest, RingingRequest
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
@@ -188,11 +188,8 @@ class _Task:
         if TOTAL_MASS not in self.known:
             raise RequestError(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
         result = identify_as_paper(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
-        values = {name: float(f"{value_of(result.machine, name):.6g}") for name in UNKNOWNS}
-        by = f"identified {self.origin.date} by ffcomp identify fit --method stepwise"
         agreed = {step.title: float(f"{step.consistency:.4g}") for step in result.steps}
-        provenance = {name.partition("[")[0]: by for name in values}
-        text = self.origin.text(values, {}, provenance, chi_squared_per_degree_of_freedom=agreed)
+        text = self.origin.text_of(result.estimates, "fit --method stepwise", chi_squared_per_degree_of_freedom=agreed)
         return StepwiseFit(**self.common, text=text, result=result)
 
     def axes(self, progress: Progress) -> AxesFit:

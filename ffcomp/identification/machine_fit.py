@@ -293,19 +293,6 @@ class Origin:
     data: Sequence[str]  # file names with hashes
     date: str
 
-    def text(
-        self,
-        values: Mapping[str, Any],
-        uncertainty: Mapping[str, float],
-        provenance: Mapping[str, Any],
-        **identified: Any,
-    ) -> str:
-        """Write the starting file's text with other values, their uncertainties and provenance."""
-        table = {"date": self.date, "started_from": self.source.stem, "data": list(self.data), **identified}
-        return updated_text(
-            self.source, values, name=self.name, uncertainty=uncertainty, provenance={**provenance, "identified": table}
-        )
-
     def note(self, estimates: Sequence[Estimate], verb: str) -> str:
         """Say where the value of a key, or its list, is from."""
         intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
@@ -319,7 +306,7 @@ class Origin:
         provenance: Mapping[str, str] | None = None,
         **identified: Any,
     ) -> str:
-        """Write the text with parameters that the verb has identified, lists or one by one, and with other values."""
+        """Write the starting file's text with what a verb has identified, one by one or as lists, and other values."""
         by_key: dict[str, list[Estimate]] = {}
         values = dict[str, Any]()
         for key, found in parameters.items():
@@ -329,7 +316,10 @@ class Origin:
         least = {key: SMALLEST_SD if key.startswith("axes.") else 0.0 for key in by_key}
         uncertainty = {key: float(f"{max(least[key], spread):.2g}") for key, spread in spreads.items()}
         notes = {key: self.note(each, verb) for key, each in by_key.items()}
-        return self.text(values | dict(others or {}), uncertainty, notes | dict(provenance or {}), **identified)
+        table = {"date": self.date, "started_from": self.source.stem, "data": list(self.data), **identified}
+        sources = {**notes, **(provenance or {}), "identified": table}
+        values |= others or {}
+        return updated_text(self.source, values, name=self.name, uncertainty=uncertainty, provenance=sources)
 
 
 def _rounded(estimate: Estimate) -> float:

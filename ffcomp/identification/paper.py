@@ -47,9 +47,10 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class PaperIdentification:
-    """The machine of all steps, and each step."""
+    """The machine of all steps, its numbers, and each step."""
 
     machine: Machine
+    estimates: Mapping[str, Estimate]  # each from the step that determines it best
     steps: Sequence[Step]
 
     def __getitem__(self, title: str) -> Step:
@@ -93,7 +94,8 @@ def identify_as_paper(
             assembly.append(_step(f"assembly {axis}", machine, moved, mount, known))
     mounts = [each for step in (*hammers, *assembly) for each in step.estimates.items() if each[0] not in masses]
     sharpest = dict(sorted(mounts, key=lambda each: -each[1].relative_sd))
-    return PaperIdentification(_with(machine, sharpest), (carriage, *hammers, *assembly))
+    found = {**carriage.estimates, **masses, **sharpest}
+    return PaperIdentification(_with(machine, found), found, (carriage, *hammers, *assembly))
 
 
 def _hammer_step(machine: Machine, struck: FrequencyResponse, total_kg: float, relative_sd: float) -> Step:
