@@ -10,8 +10,8 @@ its height against the first one's and from the dip between them.
     minimise  Σ r²/v(ε),   v = (σ² + ε²|H|²)/2 of the real and the imaginary part,   v = ε² (1 + P/S) + σ² of ln S
 
 σ² is the noise, ε the model's own error, chosen for each file such that χ² has its expected value. A second mode is
-accepted only where the Bayesian information criterion is better, with correlated residuals counted as fewer, where
-its frequency and its share are sharp, and where the two are farther apart than they are wide.
+accepted only where the Bayesian information criterion is better, where its frequency and its share are sharp (their
+covariance counts residuals that err alike), and where the two are farther apart than they are wide.
 
 How much of the damping belts hold is not fitted. A share s multiplies each mode by 1 + 2i ζ_j s f/f_j, to first order a
 delay, which each response has of its own; the rest is about (2 ζ f/f_j)² s.
@@ -32,7 +32,6 @@ from ffcomp.identification.axis_spectra import COARSE, Datum, Spectrum
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
-from ffcomp.measurement.modal import independent_share
 from ffcomp.numerics.serialise import keys
 from models.arrays import ComplexArray, FloatArray
 
@@ -155,19 +154,6 @@ def _modes(found: _Fit) -> FloatArray:
     return found.problem.modes(found.values)
 
 
-def _independent(found: _Fit) -> FloatArray:
-    """Return the share of each datum's residuals that is independent, (d,)."""
-    parts = np.split(found.residual, found.problem.ends[:-1])
-    pairs = zip(parts, found.problem.data, strict=True)
-    return np.array([independent_share(r, len(d.frequency_hz)) for r, d in pairs])
-
-
-def _deviance(found: _Fit, shares: FloatArray) -> float:
-    """Return −2 ln likelihood, each datum's residuals counted by its share (d,)."""
-    rows = np.split(found.residual**2 + 2 * np.log(found.sd), found.problem.ends[:-1])
-    return float(shares @ [np.sum(each) for each in rows])
-
-
 def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     """Fit one mode or two, by the evidence.
 
@@ -263,9 +249,7 @@ def _within(name: str, found: _Fit) -> None:
 
 def _accepted(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
     """Return the accepted fit, and why."""
-    shares = _independent(two)
-    lines = float(shares @ [len(o.measured) for o in two.problem.observations])
-    gain = _deviance(one, shares) - _deviance(two, shares) - 3 * float(np.log(max(lines, 2.0)))
+    gain = one.deviance - two.deviance - 3 * float(np.log(len(two.residual)))
     if gain < BETTER_BIC:
         return one, f"One mode describes {name}: a second one explains no more than chance would."
     problem = _unclear(two)

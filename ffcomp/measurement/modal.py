@@ -63,11 +63,3 @@ def window_kernel() -> tuple[FloatArray, FloatArray]:
     power = np.abs(np.fft.fft(np.kaiser(64, KAISER_BETA), 64 * POINTS_A_LINE)) ** 2
     reach = np.arange(-LINES_TO_EACH_SIDE * POINTS_A_LINE, LINES_TO_EACH_SIDE * POINTS_A_LINE + 1)
     return reach / POINTS_A_LINE, power[reach] / power[reach].sum()
-
-
-def independent_share(residual: FloatArray, lines: int) -> float:
-    """Return (1 − ρ)/(1 + ρ): neighbouring lines are correlated by window and by model error."""
-    parts = residual.reshape(-1, lines)  # of a response, real and imaginary
-    rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
-    rho = min(max(rho, 0.0), 0.95)
-    return (1 - rho) / (1 + rho)
