@@ -27,7 +27,7 @@ from scipy.ndimage import uniform_filter1d
 from ffcomp.diagnosis.candidates import axis_candidates, machine_parameters, machine_with
 from ffcomp.diagnosis.noise import SIMULATION_ERROR, density_of, noise_grid
 from ffcomp.diagnosis.observations import quick_length
-from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Observation, Parameter, Problem
+from ffcomp.diagnosis.problem import InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.identification.axis_shots import (
     Shots,
     band_of,
@@ -40,7 +40,7 @@ from ffcomp.identification.axis_shots import (
 )
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import ComplexArray, FloatArray
-from models.effects.catalogue import CATALOGUE, catalogue_of
+from models.effects.catalogue import CATALOGUE
 from models.kinds import driven_axis
 from models.machine import Machine, with_values
 from models.printer.one_axis import axis_parameters, simulate_axis, simulate_load
@@ -71,10 +71,7 @@ class AxisProblem(Problem):
     """The machine file of an axis, and its runs."""
 
     def __init__(self, machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
-        self.machine, self.recordings = machine, runs
-        self.name, self.path, quantities = machine.name, machine.path, machine.vibration.quantities
-        self.names = MachineNames(quantities=quantities, catalogue=catalogue_of(quantities, machine.vibration.moves))
-        self.commanded = not driven_axis(machine).by_force
+        self.machine, self.commanded = machine, not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
         self.places = [_way(one.run) for one in self.shots]  # (n,) mm, or one NaN: not measured
         self.band_hz = band_of(self.shots)
@@ -187,10 +184,6 @@ class AxisProblem(Problem):
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's axis with these parameters and effects."""
         return machine_with(self.machine, values)
-
-    def place_name(self, position: tuple[float, ...]) -> str:
-        """Name a window of time."""
-        return f"from {position[0]:g} s"
 
 
 class ForceBalance(AxisProblem):

@@ -27,7 +27,7 @@ from ffcomp.diagnosis.observations import (
     observation_of,
     parts_of,
 )
-from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Problem
+from ffcomp.diagnosis.problem import InfeasibleParameters, Problem
 from ffcomp.diagnosis.recording_clocks import (
     aligned,
     as_recorded,
@@ -50,7 +50,6 @@ COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are on
 KEPT, AT_ONCE = 4, 24  # machines whose motions are held
 WORKERS = min(8, os.cpu_count() or 1)
 
-STRAIGHT = ("axis X", "axis Y", "axis Z")
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _Motions = dict[int, PrinterMotion]
 
@@ -63,12 +62,7 @@ class PrinterProblem(Problem):
     def __init__(
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
-        self.machine, self.recordings = machine, recordings
-        self.name, self.path = machine.name, machine.path
-        self.names = MachineNames(quantities=machine.vibration.quantities)
-        if not machine.kinematics.tower_directions:
-            self.names = replace(self.names, carriages=STRAIGHT, belts=machine.kinematics.actuator_names)
-        self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, 4.0 / machine.steps.full_per_motor[0]
+        self.machine = machine
         self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
         recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]
         self.repeats = repeats_of(recorded)
@@ -109,7 +103,6 @@ class PrinterProblem(Problem):
         shorter = copy(self)
         whole = [self.observations[i] for i in chosen]
         shorter.same_command = [chosen.index(self.same_command[i]) for i in chosen]
-        shorter.recordings = [self.recordings[i] for i in chosen]
         shorter.parameters = seen_parameters(self.parameters, whole)
         shorter.kept, shorter.parts, shorter.splines = {}, parts, Splines()
         led = {i: led_in(self.commands[chosen[i]], parts[i], whole[i].rate_hz) for i in set(shorter.same_command)}
@@ -130,7 +123,7 @@ class PrinterProblem(Problem):
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
         """Simulate in batches, all recordings of a batch together."""
-        chosen = range(len(self.recordings)) if only is None else only
+        chosen = range(len(self.observations)) if only is None else only
         needed = sorted({self.same_command[i] for i in chosen})
         for first in range(0, len(many), AT_ONCE):
             part = many[first : first + AT_ONCE]

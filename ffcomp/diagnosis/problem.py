@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ffcomp.measurement.faults import REPEATS_REMEDY, RepeatComparison
 from models.arrays import FloatArray
-from models.effects.catalogue import CATALOGUE
+from models.effects.catalogue import CATALOGUE, catalogue_of
 from models.effects.effect import Effect
-from models.quantities import PLAIN, Quantities
+from models.machine import Machine
+from models.quantities import Quantities
 
 REACH_SD = 3.0  # standard deviations: the range for retuning the file's numbers; further off, something is missing
-TOWERS = ("tower A", "tower B", "tower C")
 
 
 @dataclass(frozen=True)
@@ -178,32 +178,17 @@ class Work:
         self.limit, self.cut = self.steps + limit, False
 
 
-@dataclass(frozen=True, kw_only=True)
-class MachineNames:
-    """What people call the parts of a machine."""
-
-    quantities: Quantities = PLAIN  # keys, units and scales of its file
-    catalogue: Mapping[str, Effect] = field(default_factory=lambda: CATALOGUE)  # the effects in the words of its kind
-    carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
-    belts: tuple[str, ...] = TOWERS  # of belts and their motors
-
-
 class Problem(ABC):
     """A machine, its observations, and what it would have measured with other parameters."""
 
+    machine: Machine
     band_hz: tuple[float, float]  # where measurement and model are compared
     observations: Sequence[Observation]
     parameters: Sequence[Parameter]  # retuned within their uncertainty: no missing effect
     candidates: Sequence[Candidate]
-    name: str  # of the machine
-    path: str  # of its file
-    recordings: Sequence[object]  # that the observations are from
     repeats: Sequence[Repeats] = ()
     commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
     commanded: bool = True  # by a position, which a firmware may shape; else by a force
-    cycle_mm: float = 0.0  # of a motor
-    reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
-    names: MachineNames = MachineNames()
     forces: bool = False  # compared are the drive's force and the one that the measured motion needs, not signals
     by_signal: bool = False  # each signal is compared by itself: what one leaves says nothing of another
     least_density: Mapping[str, float | FloatArray] = {}  # of a signal's noise, unit²/Hz (at `noise_grid`), at least
@@ -218,9 +203,15 @@ class Problem(ABC):
         """Return the observation whose simulation serves each observation, by index: repeats share one."""
         return range(len(self.observations))
 
-    def place_name(self, position: tuple[float, ...]) -> str:
-        """Name a place of a recording."""
-        return "(" + ", ".join(f"{x:g}" for x in position) + ") mm"
+    @property
+    def quantities(self) -> Quantities:
+        """Keys, units and scales of the machine's file."""
+        return self.machine.vibration.quantities
+
+    @property
+    def catalogue(self) -> Mapping[str, Effect]:
+        """The effects in the words of the machine's kind."""
+        return catalogue_of(self.quantities, self.machine.vibration.moves)
 
     @abstractmethod
     def simulate(

@@ -16,7 +16,7 @@ from ffcomp.diagnosis.candidates import IN_FILE, WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.next_experiment import Separation
-from ffcomp.diagnosis.problem import MachineNames, Problem
+from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, ResidualSize, locate_residual, residual_curves
@@ -174,11 +174,6 @@ class DiagnosisResult:
         return self.search.estimation.problem
 
     @property
-    def names(self) -> MachineNames:
-        """What people call the parts of the machine."""
-        return self.problem.names
-
-    @property
     def verdict(self) -> str:
         """Return "effects", "none" or "unknown"."""
         return self.search.verdict
@@ -216,7 +211,7 @@ class DiagnosisResult:
     @property
     def refused(self) -> Nearest | None:
         """What came nearest, if anything speaks against it."""
-        because = [self.names.quantities.sentence(each) for each in self.search.rejections]
+        because = [self.problem.quantities.sentence(each) for each in self.search.rejections]
         return Nearest([*self.effects], because) if because else None
 
     def _effect(self, name: str) -> FoundEffect:
@@ -233,7 +228,7 @@ class DiagnosisResult:
 
     def parameters(self, effect: str) -> dict[str, Interval]:
         """Return value, low and high of one effect by the machine file's keys."""
-        quantities, found = self.names.quantities, {}
+        quantities, found = self.problem.quantities, {}
         for key, table in self.effects[effect].items():
             interval = self._interval(effect, key, table)
             ends = (quantities.value(key, x) for x in (interval.value, interval.low, interval.high))
@@ -267,12 +262,12 @@ class DiagnosisResult:
         return [] if best is None else [self._number(name) for name in undetermined(best, self.search.intervals)]
 
     def _number(self, name: str) -> str:
-        return self.names.quantities.key(name).removeprefix("effects.")
+        return self.problem.quantities.key(name).removeprefix("effects.")
 
     @property
     def confounded_with(self) -> list[Confusable]:
         """Effects that look alike in these runs."""
-        catalogue = self.names.catalogue
+        catalogue = self.problem.catalogue
         more = "more places and at several speeds" if catalogue is CATALOGUE else "several speeds and sizes"
         return [
             Confusable(name, separated_by(tuple(self.effects), [name], catalogue) or f"Runs at {more}.")
@@ -352,14 +347,14 @@ class DiagnosisResult:
         numbers = []
         for n, z in zip(fitted.parameters, fitted.z, strict=True):
             if of_machine(n.name):
-                scale = self.names.quantities.scale(n.name)
+                scale = self.problem.quantities.scale(n.name)
                 change = Change(scale * n.start, scale * self.problem.stated(fitted.values, n.name))
                 numbers.append((self._file_key(n.name), float(z), change))
         return sorted(numbers, key=lambda each: -abs(each[1]))
 
     def _file_key(self, name: str) -> str:
         """Return the key of one of the machine's numbers in its file."""
-        quantities = self.names.quantities
+        quantities = self.problem.quantities
         if not name.startswith(IN_FILE):
             return quantities.key(name)
         _, effect, key = name.removeprefix(IN_FILE).split(".")
@@ -390,7 +385,7 @@ class DiagnosisResult:
         data : the files of the recordings, with their hashes
         when : the date
         """
-        quantities, gap = self.names.quantities, self.gap
+        quantities, gap = self.problem.quantities, self.gap
         values: dict[str, Any] = {key: float(f"{each.fitted:.6g}") for key, each in self.retuned.items()}
         for effect, table in self.effects.items():
             if not table:

@@ -11,6 +11,7 @@ from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined, most_of, percent
 from models.effects.catalogue import CATALOGUE
 
+TOWERS, STRAIGHT = ("tower A", "tower B", "tower C"), ("axis X", "axis Y", "axis Z")
 FEW = 4  # numbers or files in one sentence
 COMPARE = "Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."
 
@@ -214,8 +215,9 @@ def what_to_do(result: DiagnosisResult) -> list[str]:
 
 def _remedy(result: DiagnosisResult, name: str) -> str:
     """Say how to mend an effect, and at which towers or axes first, where one stands out."""
-    effect = result.names.catalogue[name]
-    names = result.names.belts if effect.of_motors else result.names.carriages
+    effect, kinematics = result.problem.catalogue[name], result.problem.machine.kinematics
+    straight = kinematics.actuator_names if effect.of_motors else STRAIGHT
+    names = TOWERS if kinematics.tower_directions else straight
     return effect.remedy.format(where=_first_of(names, result.effects[name]))
 
 

@@ -250,7 +250,7 @@ def update(
         kept=[name for i in of_machine if (name := fitted.parameters[i].name) not in numbers],
         innovation=innovation,
         held_out=held_out,
-        layers=len(problem.recordings),
+        layers=len(problem.observations),
         drift=request.drift,
         prints=request.prints,
         data=data,

@@ -90,7 +90,7 @@ class Diagnosis(DiagnosisResult, Result):
         """Return the text of the improved machine file."""
         assert self.output is not None
         hashes, today = [hash_of(path) for path in self.runs], date.today().isoformat()
-        text = self.better_file(Path(self.problem.path), self.output.stem, hashes, today)
+        text = self.better_file(Path(self.problem.machine.path), self.output.stem, hashes, today)
         check_text(text, str(self.output))
         return text
 

@@ -165,10 +165,10 @@ def split_residual(problem: Problem, whiten: Whitener, residual: FloatArray) -> 
     noise = _rows((w / w.mean() for w in faded), observations)  # the square that noise alone has; the ends are faded
     signals = tuple(sorted({s for o in observations for s in o.signals}))
     places = tuple(dict.fromkeys(o.position for o in observations))
-    place = "place" if problem.reach_mm else "window of time"
+    place = "place" if len(places[0]) > 1 else "window of time"
     groups: list[tuple[Split, Callable[[int, Observation], ArrayLike]]] = [
         (Split("signal", signals), lambda _, o: [signals.index(s) for s in o.signals]),
-        (Split(place, tuple(map(problem.place_name, places)), at=places), lambda _, o: places.index(o.position)),
+        (Split(place, tuple(map(_place_name, places)), at=places), lambda _, o: places.index(o.position)),
         (Split("motion", ("backward", SLOW, "forward")), lambda _, o: _direction(o.speed)),
     ]
     if problem.commands:
@@ -178,6 +178,11 @@ def split_residual(problem: Problem, whiten: Whitener, residual: FloatArray) -> 
         group_of = _rows((group(i, o) for i, o in enumerate(observations)), observations)
         splits.append(_filled(split, group_of, noise, rows))
     return splits
+
+
+def _place_name(position: tuple[float, ...]) -> str:
+    """Name a place of a recording, or a window of time."""
+    return f"({', '.join(f'{x:g}' for x in position)}) mm" if len(position) > 1 else f"from {position[0]:g} s"
 
 
 def _spanned(title: str, edges: Sequence[float] | FloatArray, unit: str) -> Split:
@@ -230,7 +235,8 @@ def _direction(speed: FloatArray) -> NDArray[np.int64]:
 def _phase(problem: Problem, i: int, o: Observation) -> NDArray[np.int64]:
     """Return the phase of the signal's own motor, (n, m); of motor A for the nozzle's."""
     moved = problem.commands[i][:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in o.signals]]
-    return (np.mod(moved / problem.cycle_mm, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS
+    cycle_mm = 4.0 / problem.machine.steps.full_per_motor[0]
+    return (np.mod(moved / cycle_mm, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS
 
 
 # ---- curves of the residual ----------------------------------------------------------------------
@@ -294,8 +300,7 @@ def residual_curves(
         noise = _noise_of_a_row(floor, first, name, forces.band_hz)
         for kind, quantity in quantities.items():
             known = np.flatnonzero((signal == s) & np.isfinite(quantity) & np.isfinite(residual))
-            units = forces.names.quantities
-            curve = _curve(units, (name, kind), quantity[known], residual[known], cluster[known], noise)
+            curve = _curve(forces.quantities, (name, kind), quantity[known], residual[known], cluster[known], noise)
             if curve is not None and (kind not in best or curve.share > best[kind].share):
                 best[kind] = curve
     return sorted((c for c in best.values() if c.share > SHOWN_SHARE), key=lambda c: -c.share)
@@ -434,7 +439,7 @@ def _overlay(
     power = np.convolve(error**2, np.ones(2 * half), "same")
     middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
     part = slice(middle - half, middle + half)
-    _, unit, scale = problem.names.quantities.signal(o.signals[k])
+    _, unit, scale = problem.quantities.signal(o.signals[k])
     signals = (o.measured, *(simulated[i] for simulated in answers))
     measured, before, after = (scale * _in_time(whiten, o, whiten.spectrum(o, x)[0])[part, k] for x in signals)
     frequency, _ = lines(o, whiten.band_hz)

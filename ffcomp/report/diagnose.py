@@ -63,7 +63,7 @@ def page_of(diagnosis: Diagnosis) -> Page:
     band = "{:g}-{:g} Hz".format(*search.estimation.whiten.band_hz)
     about = [f"verdict: {diagnosis.verdict}", f"{len(diagnosis.runs)} runs", band]
     output = None if diagnosis.output is None else Path(diagnosis.output.name)
-    return Page(diagnosis.problem.name, about, sections, replace(diagnosis, output=output).answer)
+    return Page(diagnosis.problem.machine.name, about, sections, replace(diagnosis, output=output).answer)
 
 
 def gap_page(gap: Discrepancy) -> Page:
@@ -78,7 +78,7 @@ def gap_page(gap: Discrepancy) -> Page:
 
 def _evidence(diagnosis: Diagnosis) -> Table:
     """List the explanations that were fitted in full, the most likely first."""
-    search, catalogue = diagnosis.search, diagnosis.names.catalogue
+    search, catalogue = diagnosis.search, diagnosis.problem.catalogue
     head = ("explanation", "error, times the noise", "behind, −2 ln Z", "parameters")
     if search.best is None:
         return Table(head, [("none was needed", "", "", "")], "Explanations")
@@ -103,7 +103,7 @@ def _retuned(diagnosis: Diagnosis) -> Table:
     moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in search.final.parameters if of_machine(n.name)]
     rows = [
         (
-            diagnosis.names.quantities.key(n.name),
+            diagnosis.problem.quantities.key(n.name),
             digits(n.start, 5),
             percent(n.sd / abs(n.start)) if n.start else digits(n.sd),
             interval(intervals[n.name]),
@@ -116,7 +116,7 @@ def _retuned(diagnosis: Diagnosis) -> Table:
 
 def _files(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return [
-        ("machine file", hash_of(Path(diagnosis.problem.path))),
+        ("machine file", hash_of(Path(diagnosis.problem.machine.path))),
         *(("run", hash_of(path)) for path in diagnosis.runs),
         ("noise", f"from {diagnosis.search.noise.origin}"),
         ("computing time", f"{diagnosis.seconds:.0f} s"),

@@ -47,9 +47,8 @@ def made_recordings(hidden: dict[str, Any], noise: float, seed: int) -> list[Rec
 
 
 def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
-    plant = PrinterProblem(
-        load_machine(TRUTH), made_recordings({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0), CANDIDATES
-    )
+    recordings = made_recordings({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0)
+    plant = PrinterProblem(load_machine(TRUTH), recordings, CANDIDATES)
     found = diagnose(plant)
     assert (found.verdict, found.named.names) == ("effects", ("coulomb_friction",))
     assert found.intervals["effects.coulomb_friction.force_n"].value == pytest.approx(3.0, rel=0.1)
@@ -62,6 +61,6 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     machine = load_machine(better)
     assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
     closed = locate_residual(
-        plant, found.estimation.whiten, found.noise, PrinterProblem(machine, plant.recordings, ()).simulate({})
+        plant, found.estimation.whiten, found.noise, PrinterProblem(machine, recordings, ()).simulate({})
     ).total
     assert closed.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)  # the file says what the fit found

@@ -41,7 +41,6 @@ class Linear(Problem):
     """A machine whose effects add; it has a rest that none of them makes. So is its second signal, if there is one."""
 
     band_hz = (1.0, 200.0)
-    name, path, recordings = "linear", "", ()
     parameters: tuple[Parameter, ...] = (Parameter("gain", 1.0, 0.02),)
     motions = tuple(2 * (i // 2) for i in range(2 * len(PLACES)))  # each is recorded twice
 

@@ -56,7 +56,7 @@ def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> 
     problem = turned(1)
     found = diagnose(problem)
     told = DiagnosisResult(search=found)
-    left = measure_gap(problem.machine_with(found.final.values), list(problem.recordings))
+    left = measure_gap(problem.machine_with(found.final.values), [one.run for one in problem.shots])
     assert left.residual.total.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)
     assert left.compared == told.compared == "forces" and told.named == ("cogging_force",)
     table = told.effects["cogging_force"]
@@ -74,8 +74,9 @@ def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() ->
     """Whatever the drive's force is: it bends no bristle, and stops no motion. Ends of a smoothed speed are rough."""
     rubbing = with_effects(MOTOR, {"bristle_friction": {"force_n": 0.3, "presliding_mm": 2.0}})
     quiet = turned(2, rubbing, missing=False)
-    pushed = [replace(run, drive=run.drive + 5.0) for run in quiet.recordings if isinstance(run, AxisRun)]
-    both = [AxisProblem(rubbing, runs, NAMES).compared() for runs in (quiet.recordings, pushed)]  # type: ignore[arg-type]
+    measured = [one.run for one in quiet.shots]
+    pushed = [replace(run, drive=run.drive + 5.0) for run in measured]
+    both = [AxisProblem(rubbing, runs, NAMES).compared() for runs in (measured, pushed)]
     needed, same = (np.concatenate(each.simulate({}))[:, 0] for each in both)
     np.testing.assert_allclose(needed, same, atol=1e-6)
     _, v, a = _motion(np.arange(60, 2300) / 400.0, 0.5)
@@ -147,7 +148,7 @@ def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itsel
     quiet = turned(2, missing=False)
     _, v, a = _motion(np.arange(60, 2300) / 400.0, 0.5)
     rest = INERTIA * a + DAMPING * v
-    recorded = [run for run in quiet.recordings if isinstance(run, AxisRun)]
+    recorded = [one.run for one in quiet.shots]
     volts = machine_of_axis("motor", DrivenAxis("voltage", INERTIA, 0.0, DAMPING, unit="rad"))
     for machine, share, drive in ((MOTOR, 0.3, 1.0), (MOTOR, 0.3, 40.0), (MOTOR, 0.97, 1.0), (volts, 0.3, 1.0)):
         given = driven_axis(machine).input
