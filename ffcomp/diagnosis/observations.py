@@ -185,10 +185,6 @@ class Part:
         rows = slice(self.first, self.last)
         return replace(observation, measured=observation.measured[rows], speed=observation.speed[rows])
 
-    def compared(self, simulated: int) -> slice:
-        """Return the rows of this part among those that were simulated: the last ones."""
-        return slice(simulated - (self.last - self.first), simulated)
-
 
 def informative_recordings(observations: Sequence[Observation], same_command: Sequence[int]) -> list[int]:
     """Choose the recordings to search in, by index: all, or a few of many motions, without their repeats.

@@ -58,6 +58,7 @@ class PrinterProblem(Problem):
     """A machine file and its recordings."""
 
     band_hz = BAND_HZ
+    motions: Sequence[int] = ()
 
     def __init__(
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
@@ -70,8 +71,7 @@ class PrinterProblem(Problem):
         self.parameters = (*machine_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
         possible = printer_candidates(machine, self.commands, names)
         self.candidates = tuple(with_stated_clock(each, recordings) for each in possible)
-        # the first recording with the same command, of each: repeats need one simulation
-        self.same_command = [
+        self.motions = [
             next(k for k in range(i + 1) if np.array_equal(self.commands[k], command))
             for i, command in enumerate(self.commands)
         ]
@@ -79,15 +79,10 @@ class PrinterProblem(Problem):
         self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
         self.splines = Splines()
 
-    @property
-    def motions(self) -> Sequence[int]:
-        """Return the first recording with the same command, of each."""
-        return self.same_command
-
     def excerpt(self) -> PrinterProblem | None:
         """Return the problem on the most informative part of each recording; None where that is hardly quicker."""
-        chosen = informative_recordings(self.observations, self.same_command)
-        same = [chosen.index(self.same_command[i]) for i in chosen]
+        chosen = informative_recordings(self.observations, self.motions)
+        same = [chosen.index(self.motions[i]) for i in chosen]
         parts = excerpt_parts([self.observations[i] for i in chosen], same)
         return None if parts is None else self._of(chosen, parts)
 
@@ -102,11 +97,11 @@ class PrinterProblem(Problem):
         """Return the problem on parts of some recordings."""
         shorter = copy(self)
         whole = [self.observations[i] for i in chosen]
-        shorter.same_command = [chosen.index(self.same_command[i]) for i in chosen]
+        shorter.motions = [chosen.index(self.motions[i]) for i in chosen]
         shorter.parameters = seen_parameters(self.parameters, whole)
         shorter.kept, shorter.parts, shorter.splines = {}, parts, Splines()
-        led = {i: led_in(self.commands[chosen[i]], parts[i], whole[i].rate_hz) for i in set(shorter.same_command)}
-        shorter.commands = [led[i] for i in shorter.same_command]
+        led = {i: led_in(self.commands[chosen[i]], parts[i], whole[i].rate_hz) for i in set(shorter.motions)}
+        shorter.commands = [led[i] for i in shorter.motions]
         shorter.observations = [part.of(o) for part, o in zip(parts, whole, strict=True)]
         return shorter
 
@@ -124,7 +119,7 @@ class PrinterProblem(Problem):
     ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
         """Simulate in batches, all recordings of a batch together."""
         chosen = range(len(self.observations)) if only is None else only
-        needed = sorted({self.same_command[i] for i in chosen})
+        needed = sorted({self.motions[i] for i in chosen})
         for first in range(0, len(many), AT_ONCE):
             part = many[first : first + AT_ONCE]
             for values, motions in zip(part, self._motions(part, needed, coarse), strict=True):
@@ -136,9 +131,7 @@ class PrinterProblem(Problem):
         in_file = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
         machine = self.machine_with(values) if in_file or any(map(_is_sensor, values)) else None
         observations = [self.observations[i] for i in chosen]
-        kinds = [
-            (self.same_command[i], o.repeat_of, o.signals, o.clocks) for i, o in zip(chosen, observations, strict=True)
-        ]
+        kinds = [(self.motions[i], o.repeat_of, o.signals, o.clocks) for i, o in zip(chosen, observations, strict=True)]
         signals = dict[tuple[int, str, tuple[str, ...], tuple[str, ...]], FloatArray]()
         for i, kind, o in zip(chosen, kinds, observations, strict=True):
             if kind not in signals:
@@ -210,7 +203,7 @@ class PrinterProblem(Problem):
     def moved(self, i: int) -> Mapping[str, FloatArray]:
         """Return commanded position, speed and acceleration of the part each signal is measured on, (n, m) each."""
         o, led = self.observations[i], self.commands[i]
-        parts = parts_of(self.machine, led[self.parts[i].compared(len(led))])
+        parts = parts_of(self.machine, led[-len(o.measured) :])
         place = np.stack([parts[signal[4:]] for signal in o.signals], axis=1)
         return {"pos": place, "vel": o.speed, "acc": 1e-3 * np.gradient(o.speed, 1 / o.rate_hz, axis=0)}
 
@@ -252,10 +245,10 @@ def _signals(machine: Machine | None, motion: PrinterMotion, names: Sequence[str
     ----------
     machine : whose sensors have effects; None: none of them has any.
     """
-    rows, sensed = part.compared(len(motion.t_s)), motion.signals
+    rows, sensed = slice(part.first - part.last, None), motion.signals
     if machine is not None:
         dt_s = float(motion.t_s[1] - motion.t_s[0])
-        sensed = measured(machine, replace(sensed, t_s=sensed.t_s + dt_s * (part.last - rows.stop)))
+        sensed = measured(machine, replace(sensed, t_s=sensed.t_s + dt_s * (part.last - len(motion.t_s))))
     sources = {"acc": (sensed.carriage, sensed.nozzle), "pos": (motion.carriage_mm, motion.nozzle_mm)}
     columns = []
     for name in names:
