@@ -226,9 +226,8 @@ def blank_recording(
     blank: dict[str, dict[str, FloatArray]] = {"acc": {}, "pos": {}}
     for signal in signals:
         blank[signal[:3]][signal] = np.zeros(len(t))
-    gaps = np.zeros(len(t), dtype=bool)
     carriages = machine.kinematics.inverse(nozzle(t - BEFORE_S))
-    return Recording(name, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
+    return Recording(name, t, carriages, "carriage", blank["acc"], blank["pos"], {})
 
 
 def _differences(

@@ -214,7 +214,6 @@ def _whole_periods(joined: Joined, experiment: Experiment, excited: Excitation, 
         command=command,
         command_space="carriage" if carriage else "nozzle",
         acceleration={name: CubicSpline(recording.time_s, x)(at) for name, x in recording.acceleration.items()},
-        gaps=np.zeros(len(when), dtype=bool),
         comments={"period_s": str(excited.band.period_s)},
     )
 
@@ -241,5 +240,4 @@ def _resting(recording: Recording, count: int) -> Recording:
         command=np.concatenate([recording.command, np.repeat(recording.command[-1:], more, axis=0)]),
         acceleration={name: np.pad(values, (0, more)) for name, values in recording.acceleration.items()},
         position={},
-        gaps=np.concatenate([recording.gaps, np.zeros(more, dtype=bool)]),
     )

@@ -53,13 +53,11 @@ class AxisRun(Run):
     source: str  # the file, as the user named it
     time_s: FloatArray  # (n,) s, uniform
     drive: FloatArray  # (n,) mm of the commanded position, or N, A, V, a duty
-    by_force: bool
+    command_space: Input  # what it drives
     acceleration: dict[str, FloatArray]  # "acc_q" -> (n,) m/s²
     position: dict[str, FloatArray]  # "pos_q", "pos_motor" -> (n,) mm
-    comments: dict[str, str]
     folder: str = ""  # of the file, where another folder has one of the same name
     other: dict[str, FloatArray] = field(default_factory=dict)  # "vel_q" -> (n,) mm/s, "force" -> (n,) N
-    input: Input | None = None  # None: a force or a position, as `by_force` says
     supply_v: FloatArray | None = None  # (n,) V of the drive
     extra: FloatArray | None = None  # (n,) N, known extra force
     remarks: tuple[str, ...] = ()  # omissions, in sentences
@@ -70,9 +68,9 @@ class AxisRun(Run):
         return {**self.acceleration, **self.position, **self.other}
 
     @property
-    def command_space(self) -> Input:
-        """Return what the axis was given."""
-        return self.input or ("force" if self.by_force else "position")
+    def by_force(self) -> bool:
+        """Whether a force drives it, or what makes one."""
+        return self.command_space != "position"
 
     @property
     def command(self) -> FloatArray:
@@ -112,12 +110,10 @@ def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
         str(path),
         clock.grid_s,
         signals.pop("drive"),
-        INPUTS[chosen][0] != "position",
+        INPUTS[chosen][0],
         {key: x for key, x in signals.items() if key.startswith("acc")},
         {key: x for key, x in signals.items() if key.startswith("pos")},
-        table.comments,
         other={key: x for key, x in signals.items() if key in ("vel_q", "force")},
-        input=INPUTS[chosen][0],
         supply_v=signals.get("supply"),
         extra=signals.get("extra"),
         remarks=tuple(remarks),

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
@@ -22,7 +21,7 @@ from ffcomp.measurement.clock import Clock, Uniform, clock_of
 from ffcomp.measurement.klipper import is_stdata
 from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
 from ffcomp.measurement.table import Table, closest, read_table, read_text, repeated_columns
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 
 CommandSpace = Literal["carriage", "nozzle"]
 CLOCKS = "clocks"  # the comment that assigns columns to several chips
@@ -60,9 +59,13 @@ class Recording(Run):
     command_space: CommandSpace
     acceleration: dict[str, FloatArray]  # "acc_A", "acc_x", … → (n,) m/s², gravity removed, up positive
     position: dict[str, FloatArray]  # "pos_A", "pos_x", … → (n,) mm
-    gaps: NDArray[np.bool_]  # (n,) True where any sensor or command was missing
     comments: dict[str, str]  # keys in small letters
     folder: str = ""  # of the file, where another folder has one of the same name
+
+    @property
+    def gaps(self) -> BoolArray:
+        """(n,) True where any sensor was missing."""
+        return np.any([np.isnan(x) for x in (*self.acceleration.values(), *self.position.values())], axis=0)
 
     @property
     def inputs(self) -> tuple[str, str, str]:
@@ -145,7 +148,6 @@ def _assemble(path: str, table: Table, clock: Clock) -> tuple[Recording, list[st
     data = {str(signal_of(name)): clock.on_grid(table.column(name)[timed]) for name in _signals(table)}
     space: CommandSpace = "carriage" if "cmd_A" in data else "nozzle"
     names = [f"cmd_{axis}" for axis in AXES[space]]
-    gaps = np.any([np.isnan(values) for values in data.values()], axis=0)
     filled = [_filled(name, data[name], clock) for name in names]
     recording = Recording(
         path,
@@ -154,7 +156,6 @@ def _assemble(path: str, table: Table, clock: Clock) -> tuple[Recording, list[st
         space,
         {name: values for name, values in data.items() if name.startswith("acc_")},
         {name: values for name, values in data.items() if name.startswith("pos_")},
-        gaps,
         table.comments,
     )
     return recording, [problem for _, problems in filled for problem in problems]

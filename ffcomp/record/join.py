@@ -334,9 +334,7 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
     resampled = np.asarray(CubicSpline(other.time_s[known], values[known])(at))
     near = np.clip(np.searchsorted(other.time_s, at), 1, len(values) - 1)
     resampled[~(known[near] & known[near - 1])] = np.nan
-    return replace(
-        recording, acceleration={**recording.acceleration, column: resampled}, gaps=recording.gaps | np.isnan(resampled)
-    )
+    return replace(recording, acceleration={**recording.acceleration, column: resampled})
 
 
 def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:

@@ -163,7 +163,6 @@ def measured_run(
         command_space="nozzle",
         acceleration={signal: values for signal, values in sensors.items() if signal.startswith("acc_")},
         position={signal: values for signal, values in sensors.items() if signal.startswith("pos_")},
-        gaps=np.asarray(np.isnan(np.column_stack(list(sensors.values()))).any(axis=1)),
         comments=dict(comments),
     )
 

@@ -102,14 +102,14 @@ def recordings_of(truth: Machine, places: Places) -> list[Recording]:
     """Two repeats at each place."""
     rng = np.random.default_rng(7)
     t = np.arange(round(SECONDS_DIAGNOSE_SEARCH * RATE_HZ)) / RATE_HZ
-    none, recordings = np.zeros(len(t), dtype=bool), []
+    recordings = []
     for i, place in enumerate(places):
         q = command(place, rng)
         blank = dict.fromkeys(SENSORS, np.zeros(len(t)))
-        true = PrinterProblem(truth, [Recording("x.csv", t, q, "carriage", blank, {}, none, {})], ()).simulate({})[0]
+        true = PrinterProblem(truth, [Recording("x.csv", t, q, "carriage", blank, {}, {})], ()).simulate({})[0]
         for repeat in (1, 2):
             felt = dict(zip(SENSORS, (true + NOISE * rng.standard_normal(true.shape)).T, strict=True))
-            recordings.append(Recording(f"p{i}-{repeat}.csv", t, q, "carriage", felt, {}, none, {}))
+            recordings.append(Recording(f"p{i}-{repeat}.csv", t, q, "carriage", felt, {}, {}))
     return recordings
 
 

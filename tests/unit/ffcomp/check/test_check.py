@@ -55,8 +55,7 @@ class Bench:
 
 def _joined(name: str, repeat: int, t: np.ndarray, rows: np.ndarray, axes: str) -> Joined:
     acceleration = {f"acc_{axis}": rows[:, i] for i, axis in enumerate("xyz")}
-    gaps = np.zeros(len(t), dtype=np.bool_)
-    recording = Recording(f"{name}-{repeat}.csv", t - t[0], np.zeros_like(rows), "nozzle", acceleration, {}, gaps, {})
+    recording = Recording(f"{name}-{repeat}.csv", t - t[0], np.zeros_like(rows), "nozzle", acceleration, {}, {})
     return Joined(recording, name, repeat, ClockFit(0.0, 1e-4, 1.0, 0.0, 0.99), 0, "", axes, float(t[0]))
 
 

@@ -39,11 +39,11 @@ def runs_of(machine: Machine, seed: int, **effects: Any) -> list[AxisRun]:
     for k in (1, 2):
         if driven_axis(machine).by_force:
             position = {"pos_q": motion.position_mm + 1e-4 * rng.normal(size=len(t))}
-            found.append(AxisRun(f"a-{k}.csv", t, given, True, {}, position, {}))
+            found.append(AxisRun(f"a-{k}.csv", t, given, "force", {}, position))
         else:
             noise = 0.03 * rng.normal(size=len(t))
             felt = {"acc_q": motion.acceleration + noise}
-            found.append(AxisRun(f"a-{k}.csv", t, given, False, felt, {}, {}))
+            found.append(AxisRun(f"a-{k}.csv", t, given, "position", felt, {}))
     return found
 
 
@@ -84,7 +84,7 @@ def test_an_arm_that_stands_up_is_simulated_in_shots_whatever_its_file_says_of_g
     speed, change = np.gradient(angle, 1 / RATE), -((2 * np.pi * 0.7) ** 2) * (angle - np.pi)
     torque = 0.2 * change + 0.05 * speed + 3.3 * np.sin(angle)
     place = {"pos_q": 1e3 * angle + 0.01 * np.random.default_rng(5).normal(size=len(t))}
-    run = AxisRun("a.csv", t, torque, True, {}, place, {})
+    run = AxisRun("a.csv", t, torque, "force", {}, place)
     both = [shots_of(machine, [run])[0] for machine in (arm, heavy)]
     assert both[0].length == both[1].length > 0
     errors = [

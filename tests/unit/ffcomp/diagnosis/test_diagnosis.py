@@ -39,10 +39,7 @@ def made_recordings(hidden: dict[str, Any], noise: float, seed: int) -> list[Rec
             both = np.hstack([true["carriage_acc_m_per_s2"], true["nozzle_acc_m_per_s2"]])
             felt = both + noise * rng.standard_normal(both.shape)
             named = dict(zip((f"acc_{a}" for a in "ABCxyz"), felt.T, strict=True))
-            gaps = np.zeros(len(felt), dtype=bool)
-            recordings.append(
-                Recording(f"p{number}-{repeat}.csv", true["t"], command[::16], "carriage", named, {}, gaps, {})
-            )
+            recordings.append(Recording(f"p{number}-{repeat}.csv", true["t"], command[::16], "carriage", named, {}, {}))
     return recordings
 
 

@@ -43,7 +43,7 @@ def turned(seed: int, machine: Machine = MOTOR, missing: bool = True, encoder_mm
         if missing:
             force += sum(s * np.sin(n * q) + c * np.cos(n * q) for n, s, c in LINES)
         place = 1e3 * q + encoder_mm * rng.normal(size=len(t))
-        runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}, input="current"))
+        runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, "current", {}, {"pos_q": place}))
     return AxisProblem(machine, runs, NAMES)
 
 
@@ -113,7 +113,7 @@ def test_bristles_bend_along_a_measured_motion_in_closed_form() -> None:
     rubbing = with_effects(MOTOR, {"bristle_friction": {"force_n": 0.3, "presliding_mm": 20.0}})
     t = np.arange(400) / 200.0
     place = 0.05 * t
-    runs = [AxisRun("a.csv", t, DAMPING * 0.05 + 0.0 * t, True, {}, {"pos_q": 1e3 * place}, {}, input="current")]
+    runs = [AxisRun("a.csv", t, DAMPING * 0.05 + 0.0 * t, "current", {}, {"pos_q": 1e3 * place})]
     balance = AxisProblem(rubbing, runs, NAMES).compared()
     needed = np.concatenate(balance.simulate({}))[:380, 0]
     expected = DAMPING * 0.05 + 0.3 * (1 - np.exp(-place[:380] / 0.02))
@@ -129,7 +129,7 @@ def test_a_weight_is_named_although_it_hardly_changes_within_a_window() -> None:
         friction = 0.3 * np.tanh(v / 0.01) * (1 + 0.1 * np.sin(5 * q))
         force = INERTIA * a + DAMPING * v + friction + 0.8 * np.sin(q) + 5e-3 * rng.normal(size=len(t))
         place = 1e3 * q + 0.05 * rng.normal(size=len(t))
-        runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}, input="current"))
+        runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, "current", {}, {"pos_q": place}))
     found = diagnose(AxisProblem(MOTOR, runs, ("pendulum_gravity", "coulomb_friction", "guide_damping")))
     told = DiagnosisResult(search=found)
     assert set(told.named) == {"pendulum_gravity", "coulomb_friction"}
@@ -152,7 +152,7 @@ def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itsel
     volts = machine_of_axis("motor", DrivenAxis("voltage", INERTIA, 0.0, DAMPING, unit="rad"))
     for machine, share, drive in ((MOTOR, 0.3, 1.0), (MOTOR, 0.3, 40.0), (MOTOR, 0.97, 1.0), (volts, 0.3, 1.0)):
         given = driven_axis(machine).input
-        runs = [replace(run, drive=drive * run.drive, input=given) for run in recorded]
+        runs = [replace(run, drive=drive * run.drive, command_space=given) for run in recorded]
         balance = AxisProblem(with_effects(machine, {"friction_by_load": {"share": share}}), runs, NAMES).compared()
         needed = np.concatenate(balance.simulate({}))[60:2300, 0]
         emf = DAMPING * v if machine is volts else 0.0 * v  # of a voltage, what turns the motor presses no teeth
@@ -176,7 +176,7 @@ def swung(hidden: dict[str, dict[str, float]], softer: float, seed: int = 3) -> 
         places = {"pos_q": motion.position_mm, "pos_motor": motion.motor_mm}
         noisy = {s: x + 0.02 * rng.normal(size=len(t)) for s, x in places.items()}
         felt = np.asarray(force) + 0.002 * rng.normal(size=len(t))
-        runs.append(AxisRun(f"run{name}.csv", t, felt, True, {}, noisy, {}))
+        runs.append(AxisRun(f"run{name}.csv", t, felt, "force", {}, noisy))
     file = machine_of_axis("joint", JOINT, uncertainty={**KNOWN, "axis.damping_n_s_per_m": 1.0})
     return problem_of(file, runs, ("belt_stiffness", "stribeck_friction", "belt_backlash", "command_delay"))
 
@@ -206,7 +206,7 @@ def test_a_drive_that_acts_late_is_no_missing_effect() -> None:
     rng, t = np.random.default_rng(5), np.arange(3200) / 400.0
     force = 0.02 * np.sin(2 * np.pi * 3.1 * t) + 0.02 * np.sin(2 * np.pi * 11.3 * t)
     place = simulate_axis(replace(MOTOR, vibration=late), force, t[1], substeps=8).position_mm
-    run = AxisRun("run.csv", t, force, True, {}, {"pos_q": place + 1e-3 * rng.normal(size=len(t))}, {}, input="current")
+    run = AxisRun("run.csv", t, force, "current", {}, {"pos_q": place + 1e-3 * rng.normal(size=len(t))})
     found = diagnose(AxisProblem(MOTOR, [run], ("command_delay", "coulomb_friction")))
     assert found.verdict == "none"
     assert found.final.values["axis.drive.delay_s"] == pytest.approx(0.5 / 400.0, rel=0.1)

@@ -25,7 +25,7 @@ def test_the_pitch_of_a_hidden_ripple_is_the_best_one(pitch: float) -> None:
 
 def test_a_force_and_a_speed_show_no_pitch_without_a_place() -> None:
     t = np.arange(800) / 400.0
-    run = AxisRun("a.csv", t, np.sin(20 * t), True, {}, {}, {}, other={"vel_q": np.cos(20 * t)})
+    run = AxisRun("a.csv", t, np.sin(20 * t), "force", {}, {}, other={"vel_q": np.cos(20 * t)})
     free = machine_of_axis("stage", DrivenAxis("force", 1.0, 0.0, 2.0))
     assert likely_pitches(free, shots_of(free, [run]), (2.0, 60.0), 3) == []
     with pytest.raises(MeasurementError, match="an encoder's position shows it too"):
@@ -41,6 +41,6 @@ def test_lines_of_cogging_are_seen_in_the_force_of_what_turns() -> None:
     lines = sum(s * np.sin(n * q) + c * np.cos(n * q) for n, s, c in ((7, 0.8, 0.0), (28, 0.0, 0.5), (12, 0.3, 0.2)))
     told = []
     for force in (plain, plain + lines):
-        run = AxisRun("a.csv", t, force, True, {}, {"pos_q": 1e3 * q}, {}, input="current")
+        run = AxisRun("a.csv", t, force, "current", {}, {"pos_q": 1e3 * q})
         told.append([round(2e3 * np.pi / x) for x in pitches_of_force(motor, shots_of(motor, [run]), 6)])
     assert told[0] == [] and sorted(told[1]) == [7, 12, 28]

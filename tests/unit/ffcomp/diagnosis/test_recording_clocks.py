@@ -136,15 +136,12 @@ def test_a_printer_that_changed_is_refused_at_usual_speeds(other: dict[str, Any]
 
 
 def recording(**comments: str) -> Recording:
-    gaps = np.zeros(N, dtype=bool)
-    return Recording("x-1.csv", T, np.zeros((N, 3)), "nozzle", {}, {}, gaps, comments)
+    return Recording("x-1.csv", T, np.zeros((N, 3)), "nozzle", {}, {}, comments)
 
 
 def test_signals_of_two_chips_are_on_two_clocks() -> None:
     """A bed slinger's: each is moved onto its own repeats, and each has a delay and a drift."""
-    two = Recording(
-        "x-1.csv", T, np.zeros((N, 3)), "nozzle", {}, {}, np.zeros(N, dtype=bool), {"clocks": "acc_x, acc_y"}
-    )
+    two = recording(clocks="acc_x, acc_y")
     clocks = two.clocks_of(("acc_x", "acc_y", "pos_x"))
     assert clocks == ("", "acc_y", "") and recording().clocks_of(("acc_x", "acc_y")) == ("", "")
 

@@ -64,11 +64,10 @@ def made_recordings(noise: float, count: int, rng: np.random.Generator) -> list[
     rest = np.array([[330.0, 330.0, 330.0]])
     moved = 0.3 * np.sin(2 * np.pi * 37 * t)[:, None] * np.array([1.0, -0.4, 0.2]) * np.minimum(1, t / 0.2)[:, None]
     blank = {f"acc_{a}": np.zeros(len(t)) for a in "ABCxyz"}
-    gaps = np.zeros(len(t), dtype=bool)
-    first = Recording("x-1.csv", t, rest + moved, "carriage", blank, {}, gaps, {})
+    first = Recording("x-1.csv", t, rest + moved, "carriage", blank, {}, {})
     true = PrinterProblem(machine, [first], ()).simulate({})[0]
     return [
-        Recording(f"x-{i}.csv", t, rest + moved, "carriage", dict(zip(blank, (true + n).T, strict=True)), {}, gaps, {})
+        Recording(f"x-{i}.csv", t, rest + moved, "carriage", dict(zip(blank, (true + n).T, strict=True)), {}, {})
         for i, n in enumerate(noise * rng.standard_normal((count, *true.shape)), 1)
     ]
 
@@ -110,7 +109,7 @@ def problem(law: Law, axis: DrivenAxis = STAGE, seed: int = 1) -> AxisProblem:
         acceleration = sum(-a * w**2 * np.sin(w * t + p) for a, w, p in waves)
         force = MASS * acceleration + DAMPING * v + law(1e3 * q, v) + NOISE * rng.normal(size=len(t))
         place = 1e3 * q + 1e-4 * rng.normal(size=len(t))
-        runs.append(AxisRun(f"run{'abc'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}))
+        runs.append(AxisRun(f"run{'abc'[k]}.csv", t, force, "force", {}, {"pos_q": place}))
     return AxisProblem(
         machine_of_axis("stage", axis, uncertainty={"default": 0.05}), runs, ("pendulum_gravity", "ground_spring")
     )

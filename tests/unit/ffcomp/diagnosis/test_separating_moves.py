@@ -67,7 +67,7 @@ def recorded(
         blank = blank_recording(machine, f"{name}-1.csv", nozzle, seconds, SIGNALS, RATE_HZ)
         true = PrinterProblem(machine, [blank], ()).simulate(truth)[0]
         n = len(true)  # rows beyond a length that is transformed quickly are left out
-        blank = replace(blank, time_s=blank.time_s[:n], command=blank.command[:n], gaps=blank.gaps[:n])
+        blank = replace(blank, time_s=blank.time_s[:n], command=blank.command[:n])
         for repeat in (1, 2):
             felt = true + NOISE * rng.standard_normal(true.shape)
             named = dict(zip(SIGNALS, felt.T, strict=True))

@@ -62,8 +62,7 @@ def recorded(plant: Plant, noise: float = 0.3, heights: tuple[float, ...] = (30.
         for repeat in (1, 2):
             named = dict(zip(("acc_x", "acc_y"), (felt + noise * rng.standard_normal(felt.shape)).T, strict=True))
             nozzle = np.column_stack([command, heights[number] + 0 * t])
-            gaps = np.zeros(len(t), dtype=bool)
-            found.append(Recording(f"p{number}-{repeat}.csv", t, nozzle, "nozzle", named, {}, gaps, {}))
+            found.append(Recording(f"p{number}-{repeat}.csv", t, nozzle, "nozzle", named, {}, {}))
     return found
 
 

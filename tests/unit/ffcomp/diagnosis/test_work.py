@@ -43,7 +43,7 @@ def problem(names: Sequence[str] = ("coulomb_friction", "belt_hardening", "guide
         felt = simulate_axis(hidden, given, 1 / RATE).acceleration
         for k in (1, 2) if motion == 0 else (1,):
             noisy = {"acc_q": felt + 0.03 * rng.normal(size=ROWS)}
-            runs.append(AxisRun(f"{'abcde'[motion]}-{k}.csv", t, given, False, noisy, {}, {}))
+            runs.append(AxisRun(f"{'abcde'[motion]}-{k}.csv", t, given, "position", noisy, {}))
     return AxisProblem(DRIVE, runs, names)
 
 
@@ -106,9 +106,8 @@ def noisy(runs: dict[str, tuple[float, str]], said: dict[str, str]) -> PrinterPr
     for name, (f, axes) in runs.items():
         nozzle = [10.0, -5.0, 30.0] + fade * np.column_stack([np.sin(f * t), np.cos(2 * f * t), np.sin(3 * f * t) / 2])
         felt = {f"acc_{axis}": rng.standard_normal(len(t)) for axis in axes}
-        gaps = np.zeros(len(t), dtype=bool)
         q = machine.kinematics.inverse(nozzle)
-        recordings.append(Recording(f"{name}.csv", t, q, "carriage", felt, {}, gaps, said))
+        recordings.append(Recording(f"{name}.csv", t, q, "carriage", felt, {}, said))
     return PrinterProblem(machine, recordings, ("coulomb_friction",))
 
 

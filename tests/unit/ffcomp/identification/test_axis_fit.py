@@ -32,9 +32,7 @@ def run_of(true: DrivenAxis, seed: int = 5) -> AxisRun:
     motion = simulate_axis(machine_of_axis("true", true), given, 1 / RATE)
     felt = {"pos_q": motion.position_mm, "pos_motor": motion.motor_mm}
     noisy = {name: x + 1e-3 * rng.normal(size=len(t)) for name, x in felt.items()}
-    return AxisRun(
-        "run.csv", t, given, true.by_force, {}, noisy if true.load_mass_kg else {"pos_q": noisy["pos_q"]}, {}
-    )
+    return AxisRun("run.csv", t, given, true.input, {}, noisy if true.load_mass_kg else {"pos_q": noisy["pos_q"]})
 
 
 @pytest.mark.parametrize("true", [FREE, SPRUNG, TWO])

@@ -25,7 +25,7 @@ def recording(command_mm: np.ndarray, noise: float = 0.0, seed: int = 0, **comme
     noisy = answer * 1e-3 + noise * np.random.default_rng(seed).standard_normal(n)
     sensors = {"acc_A": noisy}, {"pos_A": answer}
     t = np.arange(n) / RATE
-    return Recording(f"r-{seed}.csv", t, command_mm, "carriage", *sensors, np.zeros(n, dtype=bool), dict(comments))
+    return Recording(f"r-{seed}.csv", t, command_mm, "carriage", *sensors, dict(comments))
 
 
 def multisine(seed: int, periods: int = 4) -> np.ndarray:
