@@ -14,8 +14,9 @@ and its root over the number of rows is promised, in units of the noise. All rec
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import ClassVar
 
@@ -28,11 +29,11 @@ from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.score_test import Screened, confounded_with, separated_by
 from ffcomp.diagnosis.words import digits, joined
 from ffcomp.errors import FfcompError
-from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
 from ffcomp.record.plan import Plan
+from ffcomp.record.result import measured_run
 from gcode.dialect import KLIPPER
 from models.arrays import FloatArray
 from models.finding import machine_paths
@@ -97,12 +98,7 @@ class Separation:
         )
 
 
-@dataclass(frozen=True)
-class Rival:
-    """An explanation to be separated from the best one."""
-
-    names: tuple[str, ...]
-    values: Mapping[str, float]
+Rivals = Mapping[tuple[str, ...], Mapping[str, float]]  # explanations to be separated from the best: effects, values
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,27 +112,27 @@ class _Trial:
 
 def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separation]:
     """Return the recording that best separates each rival, which fits as well, from the best explanation."""
-    rivals = rivals_of(diagnosis)[:2]
+    rivals = dict(islice(rivals_of(diagnosis).items(), 2))
     if diagnosis.best is None or not rivals:
         return []
     ours, best = diagnosis.best.names, diagnosis.best.fit
     now = _differences(replace(diagnosis.estimation, coarse=True), best, rivals, None)
     trials = _trials(problem, diagnosis, best, rivals)
     found, machine = [], problem.machine
-    for i, rival in enumerate(rivals if trials else []):
+    for i, other in enumerate(rivals if trials else []):
         trial = max(trials, key=lambda each, i=i: each.differences[i])  # type: ignore[misc]
         (experiment,), recorder = trial.plan.experiments, Recorder(machine.flavor or KLIPPER)
         found.append(
             Separation(
                 ours=ours,
-                other=rival.names,
+                other=other,
                 now=now[i],
                 there=trial.differences[i],
                 kind=experiment.kind,
                 position_mm=experiment.position_mm,
                 command=command_of(machine, trial.request),
                 gcode=b"".join(gcode_lines(trial.plan, machine, recorder)).decode(),
-                otherwise=separated_by(ours, rival.names),
+                otherwise=separated_by(ours, other),
             )
         )
     return found
@@ -145,7 +141,7 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separatio
 # ---- the rivals ----------------------------------------------------------------------------------
 
 
-def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
+def rivals_of(diagnosis: Diagnosis) -> Rivals:
     """Return what fits as well as the best explanation, where that explains most of the discrepancy.
 
     Other effects that were fitted and are as likely; then the same with one more, where that is likelier but removes
@@ -153,16 +149,16 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
     """
     best = diagnosis.best
     if best is None or best.discrepancy > diagnosis.estimation.settings.left * diagnosis.base.discrepancy:
-        return []
+        return {}
     ours, limit = {*best.names}, -diagnosis.estimation.settings.significant
     larger = [h for h in diagnosis.tried if ours < {*h.names} and len(h.names) == len(ours) + 1]
     likelier = sorted((h for h in larger if diagnosis.behind(h) < limit), key=diagnosis.behind)[:1]
     fitted = [h for h in diagnosis.competing if h.names != best.names] + likelier
-    rivals = [Rival(h.names, h.fit.values) for h in fitted]
+    rivals = {h.names: h.fit.values for h in fitted}
     alike = [name for name, _ in confounded_with(best.names, diagnosis.screened)]
     known = {name for h in diagnosis.tried for name in h.names}
     like = [s for s in diagnosis.screened if s.candidate.name in {*alike} - known and len(best.effects) == 1]
-    return rivals + [Rival((s.candidate.name,), _with(diagnosis, s)) for s in like]
+    return rivals | {(s.candidate.name,): _with(diagnosis, s) for s in like}
 
 
 def _with(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
@@ -177,7 +173,7 @@ def _with(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
 # ---- the recordings that may be made -------------------------------------------------------------
 
 
-def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Sequence[Rival]) -> list[_Trial]:
+def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Rivals) -> list[_Trial]:
     """Try every kind at the centre, then the best kind at other places, higher, and softer."""
     machine, signals, rate = problem.machine, problem.observations[0].signals, problem.observations[0].rate_hz
     known = best.information / best.overdispersion
@@ -190,7 +186,8 @@ def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Se
             except FfcompError:
                 continue
             (one,) = plan.experiments
-            blank = blank_recording(machine, one.name, one.motion.nozzle, one.duration_s, signals, rate)
+            times = np.arange(0.0, one.duration_s + BEFORE_S + AFTER_S, 1 / rate) - BEFORE_S
+            blank = measured_run(one.name, one.motion, times, dict.fromkeys(signals, np.zeros(len(times))), {})
             virtual = PrinterProblem(machine, [blank], ())
             whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
             there = replace(estimation_problem(virtual, whiten, diagnosis.estimation.settings), coarse=True)
@@ -208,30 +205,8 @@ def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Se
     return [*trials, *played(more)]
 
 
-def blank_recording(
-    machine: Machine,
-    name: str,
-    nozzle: Callable[[FloatArray], FloatArray],
-    seconds: float,
-    signals: Sequence[str],
-    rate_hz: float,
-) -> Recording:
-    """Return the recording of a motion, nothing measured yet.
-
-    Parameters
-    ----------
-    nozzle : (n,) s since the beginning -> (n, 3) mm, the commanded nozzle
-    """
-    t = np.arange(0.0, seconds + BEFORE_S + AFTER_S, 1 / rate_hz)
-    blank: dict[str, dict[str, FloatArray]] = {"acc": {}, "pos": {}}
-    for signal in signals:
-        blank[signal[:3]][signal] = np.zeros(len(t))
-    carriages = machine.kinematics.inverse(nozzle(t - BEFORE_S))
-    return Recording(name, t, carriages, "carriage", blank["acc"], blank["pos"], {})
-
-
 def _differences(
-    estimation: EstimationProblem, best: Fit, rivals: Sequence[Rival], information: FloatArray | None
+    estimation: EstimationProblem, best: Fit, rivals: Rivals, information: FloatArray | None
 ) -> list[float]:
     """Return the rms difference of each rival's prediction from the best one's; zero where it has none.
 
@@ -239,7 +214,7 @@ def _differences(
     ----------
     information : (p, p) that the given runs have of the best one's parameters; None: it is not retuned
     """
-    ours, *others = estimation.residuals([best.values, *(rival.values for rival in rivals)])
+    ours, *others = estimation.residuals([best.values, *rivals.values()])
     apart = [ours - other for other in others]
     squares = [float(d @ d) for d in apart]
     if information is not None:

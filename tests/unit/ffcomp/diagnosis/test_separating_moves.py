@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.next_experiment import blank_recording, separations
+from ffcomp.diagnosis.next_experiment import AFTER_S, BEFORE_S, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import what_to_do
@@ -64,7 +64,9 @@ def recorded(
     """Record motions twice on the virtual printer with what it hides, with white noise."""
     rng, found = np.random.default_rng(0), []
     for name, nozzle, seconds in motions:
-        blank = blank_recording(machine, f"{name}-1.csv", nozzle, seconds, SIGNALS, RATE_HZ)
+        t = np.arange(0.0, seconds + BEFORE_S + AFTER_S, 1 / RATE_HZ)
+        silent = dict.fromkeys(SIGNALS, np.zeros(len(t)))
+        blank = Recording(f"{name}-1.csv", t, nozzle(t - BEFORE_S), "nozzle", silent, {}, {})
         true = PrinterProblem(machine, [blank], ()).simulate(truth)[0]
         n = len(true)  # rows beyond a length that is transformed quickly are left out
         blank = replace(blank, time_s=blank.time_s[:n], command=blank.command[:n])
