@@ -73,7 +73,7 @@ class AxisProblem(Problem):
     def __init__(self, machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.commanded = machine, not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
-        self.places = [_way(one.run) for one in self.shots]  # (n,) mm, or one NaN: not measured
+        self.places = [one.run.place for one in self.shots]
         self.band_hz = band_of(self.shots)
         self.windows = [
             Window(i, slice(rows.start, rows.start + quick_length(rows.stop - rows.start)))
@@ -165,7 +165,7 @@ class AxisProblem(Problem):
     def by_force(self) -> AxisProblem:
         """Return the problem of the forces, where the drive's is known, and where each mass is at every sample."""
         needed = ("pos_q", "pos_motor") if driven_axis(self.machine).load_mass_kg else ()
-        places = [*self.places, *(one.run.position.get(s, np.full(1, np.nan)) for one in self.shots for s in needed)]
+        places = [*self.places, *(one.run.position.get(s, np.array(np.nan)) for one in self.shots for s in needed)]
         known = not (self.commanded or self.forces) and all(bool(np.isfinite(place).all()) for place in places)
         return ForceBalance(self) if known else self
 
@@ -178,8 +178,7 @@ class AxisProblem(Problem):
             moved["acc"] = 1e-3 * np.gradient(one.speed, 1 / one.run.sample_rate_hz)
         else:
             moved["force"] = axis.force_of(one.run.drive, one.run.supply_v)
-        known = {name: x for name, x in moved.items() if len(x) == len(one.run.drive)}
-        return {name: np.tile(x[window.rows, None], (1, signals)) for name, x in known.items()}
+        return {name: np.tile(x[window.rows, None], (1, signals)) for name, x in moved.items()}
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's axis with these parameters and effects."""
@@ -219,8 +218,8 @@ class ForceBalance(AxisProblem):
             known = [one.without_beginnings(one.run.signals)[name] for one in self.shots]
             return float(np.mean([np.mean(x**2) for x in known]) * SIMULATION_ERROR**2 / self.band_hz[1])
 
-        motor = density([one.run.position.get("pos_motor", _way(one.run)) for one in problem.shots])
-        load = density([_way(one.run) for one in problem.shots]) if mass else 0.0
+        motor = density([one.run.position.get("pos_motor", one.run.place) for one in problem.shots])
+        load = density(problem.places) if mass else 0.0
         encoders = 1e-6 * (np.abs(response) ** 2 * motor + np.abs(pull) ** 2 * load)
         found = {"force": encoders + density([one.run.signals["force"] for one in self.shots]) + error("force")}
         if mass:  # in a shot it has no time to ring up
@@ -287,7 +286,7 @@ class ForceBalance(AxisProblem):
 
 def _states(one: Shots) -> FloatArray:
     """Return where the last mass and the first one are at every sample, and how fast: (n, 4) mm and mm/s."""
-    place = _way(one.run)
+    place = one.run.place
     motor = one.run.position.get("pos_motor", place)
     motor_speed = one.speed if motor is place else speed_of(motor, one.run.sample_rate_hz)
     return np.column_stack([place, one.speed, motor, motor_speed])
@@ -297,10 +296,6 @@ def _acceleration(place_mm: FloatArray, rate_hz: float) -> FloatArray:
     """Return the second derivative of a place, (n,) m/s², by five points: not smoothed, for its noise is known."""
     padded = np.pad(1e-3 * place_mm, 2, mode="reflect", reflect_type="odd")
     return np.asarray(np.convolve(padded, np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12 * rate_hz**2, "valid"))
-
-
-def _way(run: AxisRun) -> FloatArray:
-    return run.position["pos_q"] if "pos_q" in run.position else run.position.get("pos_motor", np.full(1, np.nan))
 
 
 def _first_equal(shots: Sequence[Shots], i: int) -> int:
@@ -371,15 +366,14 @@ def pitches_of_force(machine: Machine, shots: Sequence[Shots], most: int) -> lis
     axis = driven_axis(machine)
     columns, forces, places = list[FloatArray](), list[FloatArray](), list[FloatArray]()
     for one in shots:
-        place = one.run.position.get("pos_q", one.run.position.get("pos_motor"))
-        if place is None or not np.isfinite(place).all():
+        if not np.isfinite(one.run.place).all():
             return []
         v = one.speed / 1e3
         change = np.gradient(v, 1 / one.run.sample_rate_hz)
         thin = slice(None, None, max(len(v) // 2500, 1))  # some thousand rows show the lines
         columns.append(np.column_stack([change, v, np.sign(v), np.ones(len(v))])[thin])
         forces.append(axis.force_of(one.run.drive, one.run.supply_v)[thin])
-        places.append(np.asarray(place)[thin])
+        places.append(one.run.place[thin])
     place, force, known = np.concatenate(places), np.concatenate(forces), np.concatenate(columns)
     turns, first = _tries(axis, places), 0.0
     lines: list[int] = []

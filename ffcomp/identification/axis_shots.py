@@ -225,10 +225,8 @@ def _resting(commanded: float, place: FloatArray) -> float:
 
 def _place(run: AxisRun) -> FloatArray:
     """Return where the axis was, (n,) mm: measured; else as commanded, or where it began."""
-    measured = run.position.get("pos_q", run.position.get("pos_motor"))
-    if measured is not None:
-        return measured
-    return np.zeros(len(run.drive)) if run.by_force else run.drive
+    commanded = np.zeros(len(run.drive)) if run.by_force else run.drive
+    return run.place if run.position else commanded
 
 
 def _bridged(x: FloatArray) -> FloatArray:

@@ -68,6 +68,12 @@ class AxisRun(Run):
         return {**self.acceleration, **self.position, **self.other}
 
     @property
+    def place(self) -> FloatArray:
+        """Where the load was, else the motor, (n,) mm; NaN where no position was measured."""
+        nowhere = np.full(len(self.time_s), np.nan)
+        return self.position.get("pos_q", self.position.get("pos_motor", nowhere))
+
+    @property
     def by_force(self) -> bool:
         """Whether a force drives it, or what makes one."""
         return self.command_space != "position"
