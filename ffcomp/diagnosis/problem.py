@@ -132,10 +132,9 @@ class InfeasibleParameters(ValueError):
 class Repeats(RepeatComparison):
     """One experiment that was recorded several times."""
 
-    experiment: str
     members: tuple[int, ...]  # indices of its observations
     files: tuple[str, ...]
-    signals: tuple[str, ...] = ()  # that were compared, of one clock; empty: all
+    signals: tuple[str, ...]  # that were compared, of one clock
 
     def late(self) -> str:
         """Say how far apart they lie, in a sentence."""

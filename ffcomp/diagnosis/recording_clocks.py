@@ -57,7 +57,6 @@ def _compared(observations: Sequence[Observation], members: tuple[int, ...], nam
     )
     return Repeats(
         **vars(between),
-        experiment=first.repeat_of,
         members=members,
         files=tuple(Path(observations[i].name).name for i in members),
         signals=names,
@@ -71,7 +70,7 @@ def aligned(observations: Sequence[Observation], repeats: Sequence[Repeats]) -> 
         if each.apart:
             for i, lag in zip(each.members, each.lag_s, strict=True):
                 o = moved[i]
-                columns = [k for k, s in enumerate(o.signals) if s in each.signals or not each.signals]
+                columns = [k for k, s in enumerate(o.signals) if s in each.signals]
                 moved[i] = replace(o, measured=moved_columns(o.measured, columns, -lag, o.rate_hz))
     return moved
 
