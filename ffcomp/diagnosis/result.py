@@ -19,7 +19,7 @@ from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.score_test import separated_by
-from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, ResidualSize, locate_residual, residual_curves
+from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, locate_residual, residual_curves
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import ALL_OF, keys
 from models.effects.catalogue import CATALOGUE, key_in_file
@@ -34,26 +34,22 @@ BEYOND_SD = 2.99  # where retuning ends; by chance one of fifteen numbers is so 
 class Gap:
     """The discrepancy in units of the signals, before and after, where it was fitted and where it was left out."""
 
-    before: ResidualSize
-    after: ResidualSize
+    before: float  # nrms
+    after: float
+    noise: float  # nrms of the noise alone
     elsewhere: tuple[float, float]  # nrms before and after, at positions that were left out of the fit
     left_out: str = "places"  # left out of the fit in turn: places, experiments, windows, or nothing ("")
 
-    json_keys: ClassVar = keys("noise", before="before.nrms", after="after.nrms") | {
+    json_keys: ClassVar = keys("noise", "before", "after") | {
         "held_out.before": "elsewhere.0",
         "held_out.after": "elsewhere.1",
         "held_out.noise": "noise",
     }
 
     @property
-    def noise(self) -> float:
-        """The nrms of the noise alone."""
-        return self.before.noise_nrms
-
-    @property
     def explained(self) -> float:
         """Share of the discrepancy above the noise that is explained, in power."""
-        return _explained(self.before.nrms, self.after.nrms, self.noise)
+        return _explained(self.before, self.after, self.noise)
 
     @property
     def explained_elsewhere(self) -> float:
@@ -63,7 +59,7 @@ class Gap:
     @property
     def closed(self) -> bool:
         """Whether there is a gap, and half of it is closed, also where it was left out of the fit."""
-        gap, left = self.before.nrms - self.noise, self.after.nrms - self.noise
+        gap, left = self.before - self.noise, self.after - self.noise
         gap_elsewhere, left_elsewhere = (x - self.noise for x in self.elsewhere)
         return gap > 0.1 * self.noise and left < 0.5 * gap and left_elsewhere < 0.5 * gap_elsewhere
 
@@ -289,12 +285,13 @@ class DiagnosisResult:
     @cached_property
     def gap(self) -> Gap:
         """The discrepancy before and after."""
-        before, after = (each.total for each in self.residuals)
-        held_out, elsewhere = self.search.held_out, (before.noise_nrms, before.noise_nrms)
+        before, after = (each.total.nrms for each in self.residuals)
+        noise, held_out = self.residuals[0].total.noise_nrms, self.search.held_out
+        elsewhere = noise, noise
         if held_out:  # each left out of the fit in turn
             filed, fitted, signals, _ = np.sum([place.power for place in held_out], axis=0)
             elsewhere = float(np.sqrt(filed / signals)), float(np.sqrt(fitted / signals))
-        return Gap(before=before, after=after, elsewhere=elsewhere, left_out=self._left_out)
+        return Gap(before=before, after=after, noise=noise, elsewhere=elsewhere, left_out=self._left_out)
 
     @property
     def _left_out(self) -> str:
@@ -401,8 +398,8 @@ class DiagnosisResult:
                 quantities.key(n): f"{quantities.scale(n) * e.low:.4g} to {quantities.scale(n) * e.high:.4g}"
                 for n, e in self.intervals.items()
             },
-            "gap_nrms_before": float(f"{gap.before.nrms:.4g}"),
-            "gap_nrms_after": float(f"{gap.after.nrms:.4g}"),
+            "gap_nrms_before": float(f"{gap.before:.4g}"),
+            "gap_nrms_after": float(f"{gap.after:.4g}"),
             "gap_nrms_noise": float(f"{gap.noise:.4g}"),
             "held_out_nrms_before_after": [float(f"{x:.4g}") for x in gap.elsewhere],
         }
@@ -419,7 +416,7 @@ def of_machine(name: str) -> bool:
 def _lag(problem: Problem, i: int, signal: str) -> float:
     """Return how late a signal of an observation is behind its repeats, s."""
     apart = (each for each in problem.repeats if each.apart and i in each.members)
-    lags = (each.lag_s[each.members.index(i)] for each in apart if signal in each.signals or not each.signals)
+    lags = (each.lag_s[each.members.index(i)] for each in apart if signal in each.signals)
     return next(lags, 0.0)
 
 

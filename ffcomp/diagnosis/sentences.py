@@ -30,8 +30,8 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
 
 def _finding(result: DiagnosisResult) -> Iterator[str]:
     gap, most, nearest = result.gap, result.dominant, result.refused
-    size = f"{percent(gap.before.nrms)} of {_compared(result)} (noise {percent(gap.noise)})"
-    left, explained, effects = percent(gap.after.nrms), most_of(gap.explained), joined(list(result.effects))
+    size = f"{percent(gap.before)} of {_compared(result)} (noise {percent(gap.noise)})"
+    left, explained, effects = percent(gap.after), most_of(gap.explained), joined(list(result.effects))
     unproven = joined(result.unproven[:FEW])
     match result.search.finding:
         case "effects":

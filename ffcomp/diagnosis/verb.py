@@ -66,7 +66,7 @@ class Diagnosis(DiagnosisResult, Result):
             for name in self.named
             for key, e in self.parameters(name).items()
         ]
-        left = f"{percent(gap.before.nrms)} → {percent(gap.after.nrms)}; noise alone {percent(gap.noise)}"
+        left = f"{percent(gap.before)} → {percent(gap.after)}; noise alone {percent(gap.noise)}"
         facts.append(("Disagreement", left))
         facts += [("Not explained", curve.sentence) for curve in self.curves[:1]]
         if self.dominant is not None:

@@ -22,7 +22,6 @@ from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import Gap
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.report import diagnose as pages
 from ffcomp.report.diagnose import page_of
 from models.effects.catalogue import with_effect
@@ -174,15 +173,15 @@ def test_the_machine_file_is_whole_when_the_page_fails(
 # ---- sentences -----------------------------------------------------------------------------------
 
 
-def gap(before: ResidualSize, after: ResidualSize) -> Gap:
-    return Gap(before=before, after=after, elsewhere=(before.nrms, after.nrms))
+def gap(before: float, after: float) -> Gap:
+    return Gap(before=before, after=after, noise=0.3, elsewhere=(before, after))
 
 
 def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
-    assert gap(ResidualSize(0.5, 0.3), ResidualSize(0.3, 0.3)).explained == 1.0
-    assert gap(ResidualSize(0.5, 0.3), ResidualSize(0.5, 0.3)).explained == 0.0
-    assert gap(ResidualSize(0.5, 0.3), ResidualSize(0.34, 0.3)).explained == pytest.approx(1 - 0.0256 / 0.16)
-    assert gap(ResidualSize(0.3, 0.3), ResidualSize(0.3, 0.3)).explained == 0.0
+    assert gap(0.5, 0.3).explained == 1.0
+    assert gap(0.5, 0.5).explained == 0.0
+    assert gap(0.5, 0.34).explained == pytest.approx(1 - 0.0256 / 0.16)
+    assert gap(0.3, 0.3).explained == 0.0
 
 
 def left_out(position: tuple[float, ...], experiment: str, after: float = 10.0) -> dict[str, Any]:
