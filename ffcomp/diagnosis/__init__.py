@@ -19,6 +19,8 @@ acceptance, dominance    tests before an effect is named, alone or with a rest
 diagnosis      all stages together
 request, verb  the options of `gap` and `diagnose`; from files to answers
 
-Results: result (in the terms of the machine file), sentences (in words), summary (for reports), gap
-(where the residual is), next_experiment (which recording of `ffcomp record plan` separates explanations).
+Recordings: recording_clocks (repeats and delays), recording_faults (what makes a search pointless).
+
+Results: where and gap (where the residual is), next_experiment (which recording of `ffcomp record plan` separates
+explanations), result (in the terms of the machine file), sentences (in words). `identify update` is in update.
 """
