@@ -28,11 +28,11 @@ def most_of(share: float) -> str:
     return f"{100 * share:.1f} %" if share > 0.985 else percent(share)
 
 
-def joined(parts: Sequence[str], last: str = "and") -> str:
+def joined(parts: Sequence[str]) -> str:
     """Join names: `a`, `a and b`, `a, b and c`."""
     if len(parts) < 2:
         return "".join(parts)
-    return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+    return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def times_noise(excess: float) -> float:
@@ -45,12 +45,12 @@ def times(value: float) -> str:
     return f"{digits(value, 2)} times" if value < 99.5 else f"{value:.0f} times"
 
 
-def interval(e: Estimate, unit: str = "") -> str:
-    """`0.0801 kg (90 %: 0.0795 to 0.0807)`, with the digits that the width deserves."""
+def interval(e: Estimate) -> str:
+    """`0.0801 (90 %: 0.0795 to 0.0807)`, with the digits that the width deserves."""
     width = max(e.high - e.low, 1e-4 * abs(e.value), 1e-12)
     places = max(1 - math.floor(math.log10(width)), 0)
     value, low, high = (f"{x:.{places}f}" for x in (e.value, e.low, e.high))
-    return f"{value}{f' {unit}' if unit else ''} (90 %: {low} to {high})"
+    return f"{value} (90 %: {low} to {high})"
 
 
 def evidence(value: float) -> str:
