@@ -91,6 +91,7 @@ class AxisProblem(Problem):
             )
         signals = sorted({name for run in runs for name in run.signals})
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
+        self.motions = [self._same[window.run] for window in self.windows]
         lines: list[float] = []
         pitches: list[float] = []
         if RIPPLES & set(names):
@@ -102,11 +103,6 @@ class AxisProblem(Problem):
         self.candidates = axis_candidates(machine, scales, signals, names, pitches, lines)
         self.least_density = self._least_density(signals)
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
-
-    @property
-    def motions(self) -> Sequence[int]:
-        """Return the run whose simulation serves each window."""
-        return [self._same[window.run] for window in self.windows]
 
     def _least_density(self, signals: Sequence[str]) -> dict[str, float | FloatArray]:
         """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""

@@ -52,13 +52,13 @@ WORKERS = min(8, os.cpu_count() or 1)
 
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _Motions = dict[int, PrinterMotion]
+_Task = tuple[tuple[float, int], int, int, int]  # row, s, and steps in each; rows; indices of machine and recording
 
 
 class PrinterProblem(Problem):
     """A machine file and its recordings."""
 
     band_hz = BAND_HZ
-    motions: Sequence[int] = ()
 
     def __init__(
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
@@ -130,14 +130,15 @@ class PrinterProblem(Problem):
     ) -> list[FloatArray]:
         in_file = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
         machine = self.machine_with(values) if in_file or any(map(_is_sensor, values)) else None
-        observations = [self.observations[i] for i in chosen]
-        kinds = [(self.motions[i], o.repeat_of, o.signals, o.clocks) for i, o in zip(chosen, observations, strict=True)]
-        signals = dict[tuple[int, str, tuple[str, ...], tuple[str, ...]], FloatArray]()
-        for i, kind, o in zip(chosen, kinds, observations, strict=True):
-            if kind not in signals:
-                sensed = _signals(machine, motions[kind[0]], o.signals, self.parts[i])
+        signals, answer = dict[tuple[object, ...], FloatArray](), list[FloatArray]()
+        for i in chosen:
+            o = self.observations[i]
+            kind = self.motions[i], o.repeat_of, o.signals, o.clocks
+            if kind not in signals:  # repeats have the same array, which the whitener transforms once
+                sensed = _signals(machine, motions[self.motions[i]], o.signals, self.parts[i])
                 signals[kind] = as_recorded(values, o, sensed)
-        return [signals[kind] for kind in kinds]  # the same array for repeats, which the whitener transforms once
+            answer.append(signals[kind])
+        return answer
 
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
@@ -166,34 +167,23 @@ class PrinterProblem(Problem):
             except ValueError as error:  # arms may be too short for the bed
                 motions[n] = InfeasibleParameters(str(error))
         longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
-        by_steps: dict[tuple[float, int], list[tuple[int, int]]] = {}
+        # together in the lanes: equal steps, commands of one length, and among those one printer, then prepared once
+        tasks = sorted(
+            (_steps(step_s, self.observations[i].rate_hz), len(self.commands[i]), n, i)
+            for (n, step_s), i in product(longest.items(), needed)
+        )
+        self.work.add(sum(substeps * rows for (_, substeps), rows, _, _ in tasks))
+        alike = [list(each) for _, each in groupby(tasks, key=lambda task: task[0])]
+        packs = [each[k : k + LANES] for each in alike for k in range(0, len(each), LANES)]
 
-        def rows_of(i: int) -> int:
-            return len(self.commands[i])
-
-        # together in the lanes: commands of one length, and among those one printer, which is then prepared once
-        for _, alike in groupby(sorted(needed, key=rows_of), rows_of):
-            for (n, step_s), i in product(longest.items(), list(alike)):
-                by_steps.setdefault(_steps(step_s, self.observations[i].rate_hz), []).append((n, i))
-        self.work.add(sum(substeps * rows_of(i) for (_, substeps), tasks in by_steps.items() for _, i in tasks))
-        packs = [
-            (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
-        ]
-
-        def simulate(
-            pack: tuple[tuple[float, int], Sequence[tuple[int, int]]],
-        ) -> Sequence[PrinterMotion | ValueError]:
-            (row_s, substeps), tasks = pack
-            commands = [self.commands[i] for _, i in tasks]
-            return simulate_printers(
-                [printers[n] for n, _ in tasks], commands, row_s, substeps=substeps, splines=self.splines
-            )
+        def simulate(pack: Sequence[_Task]) -> Sequence[PrinterMotion | ValueError]:
+            (row_s, substeps), *_ = pack[0]
+            pair = [printers[n] for _, _, n, _ in pack], [self.commands[i] for _, _, _, i in pack]
+            return simulate_printers(*pair, row_s, substeps=substeps, splines=self.splines)
 
         with ThreadPoolExecutor(WORKERS) as pool:
             results = list(pool.map(simulate, packs))
-        for (n, i), motion in zip(
-            (task for _, tasks in packs for task in tasks), chain.from_iterable(results), strict=True
-        ):
+        for (_, _, n, i), motion in zip(chain.from_iterable(packs), chain.from_iterable(results), strict=True):
             if isinstance(motion, ValueError):
                 motions[n] = InfeasibleParameters(str(motion))
             elif not isinstance(of_printer := motions[n], InfeasibleParameters):

@@ -183,6 +183,7 @@ class Problem(ABC):
     machine: Machine
     band_hz: tuple[float, float]  # where measurement and model are compared
     observations: Sequence[Observation]
+    motions: Sequence[int]  # the number of each observation's motion: repeats share one, and its simulation
     parameters: Sequence[Parameter]  # retuned within their uncertainty: no missing effect
     candidates: Sequence[Candidate]
     repeats: Sequence[Repeats] = ()
@@ -196,11 +197,6 @@ class Problem(ABC):
     def work(self) -> Work:
         """The simulations so far."""
         return Work()
-
-    @property
-    def motions(self) -> Sequence[int]:
-        """Return the observation whose simulation serves each observation, by index: repeats share one."""
-        return range(len(self.observations))
 
     @property
     def quantities(self) -> Quantities:
