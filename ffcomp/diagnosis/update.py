@@ -20,7 +20,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any, ClassVar
@@ -67,28 +67,26 @@ class Updated(Result):
     """A machine file's numbers before and after some recordings."""
 
     schema = SCHEMA
-    json_keys: ClassVar = keys("date", "data", "layers", "prints", "drift", "numbers", "kept", machine="start") | {
+    json_keys: ClassVar = keys("date", "data", "layers", prints="request.prints", drift="request.drift") | {
+        **keys("numbers", "kept", machine="start"),
         "innovation.chi_squared": "innovation.0",
         "innovation.degrees_of_freedom": "innovation.1",
         "innovation.probability": "innovation.2",
         "held_out.before": "held_out.0",
         "held_out.after": "held_out.1",
         "held_out.noise": "held_out.2",
-        **keys("output", "written_sha256", "history"),
+        **keys(output="request.output", written_sha256="written_sha256", history="request.history_file"),
     }
 
+    request: UpdateRequest
     start: Machine
     numbers: Mapping[str, UpdatedNumber]  # that the recordings determine
     kept: Sequence[str]  # numbers that they do not determine
     innovation: tuple[float, int, float]  # χ², its degrees of freedom, the probability of more
     held_out: tuple[float, float, float]  # nrms of layers left out: with the starting file, updated; of noise alone
     layers: int
-    drift: float
-    prints: int
     data: Sequence[str]  # files with hashes
     date: str
-    output: Path | None = None  # the machine file that was written
-    history: Path | None = None  # the file to which a line was added
 
     @property
     def headline(self) -> str:
@@ -102,17 +100,17 @@ class Updated(Result):
     @property
     def facts(self) -> list[Fact]:
         """Every parameter that moved, and the files."""
-        files = (("Machine file", self.output), ("History", self.history))
         after = {key: each.after for key, each in self.numbers.items()}
-        return [*number_facts(after), *((name, str(path)) for name, path in files if path is not None)]
+        files = ("Machine file", str(self.request.output)), ("History", str(self.request.history_file))
+        return [*number_facts(after), *files]
 
     @property
     def warnings(self) -> list[str]:
         """Parameters that the recordings do not determine."""
         return [f"The recordings do not determine {', '.join(self.kept)}: unchanged."] if self.kept else []
 
-    def file_text(self, output: Path) -> str:
-        """Write the machine file: numbers, how well they are known, and where that is from."""
+    def file_text(self) -> str:
+        """Return the text of the machine file: numbers, how well they are known, and where that is from."""
         machine, uncertainty = self.start, dict[str, float]()
         for key, each in self.numbers.items():
             uncertainty[stem_of(key)] = max(uncertainty.get(stem_of(key), 0.0), float(f"{each.given_others:.2g}"))
@@ -126,14 +124,13 @@ class Updated(Result):
         }
         values = {key: float(f"{each.after.value:.6g}") for key, each in self.numbers.items()}
         source = Path(machine.path)
-        name = output.stem if source.resolve().parent == LIBRARY.resolve() else None
+        name = self.request.output.stem if source.resolve().parent == LIBRARY.resolve() else None
         return updated_text(source, values, name=name, uncertainty=uncertainty, provenance={"updated": entry})
 
     @property
     def written_sha256(self) -> str:
         """Of the machine file."""
-        assert self.output is not None
-        return hashlib.sha256(self.file_text(self.output).encode()).hexdigest()
+        return hashlib.sha256(self.file_text().encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +158,7 @@ def update_files(request: UpdateRequest, progress: Progress = lambda _: None) ->
     turn = turn_of(request.axes_map)
     recordings = load_recordings(request.data, machine, request.plan, turn, progress)
     updated = update(machine, recordings, request, data, progress)
-    updated = replace(updated, output=request.output, history=request.history_file)
-    text = updated.file_text(request.output)
+    text = updated.file_text()
     check_text(text, str(request.output))
     line = json.dumps({"schema": updated.schema, **json_object(updated)}, ensure_ascii=False)
     earlier = request.history_file.read_bytes() if request.history_file.exists() else b""
@@ -245,14 +241,13 @@ def update(
     if not numbers:
         raise NothingToDo("The recordings add nothing to the file: nothing is written.")
     return Updated(
+        request=request,
         start=machine,
         numbers=numbers,
         kept=[name for i in of_machine if (name := fitted.parameters[i].name) not in numbers],
         innovation=innovation,
         held_out=held_out,
         layers=len(problem.observations),
-        drift=request.drift,
-        prints=request.prints,
         data=data,
         date=date.today().isoformat(),
     )

@@ -111,7 +111,7 @@ def test_intervals_hold_and_are_ten_times_narrower(updates: list[tuple[tuple[flo
 
 def test_the_file_states_what_was_learnt(updates: list[tuple[tuple[float, float], Updated]]) -> None:
     (x_hz, _), updated = updates[0]
-    written = machine_of_text(updated.file_text(Path("out.toml")), "written")
+    written = machine_of_text(updated.file_text(), "written")
     assert value_of(written, KEYS[0]) == pytest.approx(x_hz, rel=0.01)
     assert FLOOR <= written.uncertainty["axes.x.frequency_hz"] < 0.01
     assert "axes.z.frequency_hz" not in written.uncertainty  # nothing moved along z
