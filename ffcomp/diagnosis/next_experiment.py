@@ -70,7 +70,6 @@ class Separation:
     position_mm: tuple[float, ...]
     command: str  # that plans the recording
     gcode: str  # that the command writes
-    otherwise: str = ""  # how to separate them by other means
 
     @property
     def tells(self) -> bool:
@@ -90,7 +89,7 @@ class Separation:
         if not self.tells:
             return (
                 f"No move of ffcomp record plan can {question}: it shows at most {there} times the noise, beyond what "
-                f"retuning makes up for. {self.otherwise}".rstrip()
+                f"retuning makes up for. {separated_by(self.ours, self.other)}".rstrip()
             )
         return (
             f"Record {self.command} and give its captures along with these runs, to {question}: there the predictions "
@@ -132,7 +131,6 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separatio
                 position_mm=experiment.position_mm,
                 command=command_of(machine, trial.request),
                 gcode=b"".join(gcode_lines(trial.plan, machine, recorder)).decode(),
-                otherwise=separated_by(ours, other),
             )
         )
     return found
