@@ -18,13 +18,7 @@ from ffcomp.record.excitation import (
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
 from ffcomp.record.page import PageRequest, make_page, page_lines, twins
-from ffcomp.record.plan import (
-    Experiment,
-    Page,
-    Plan,
-    capture_name,
-    save_plan,
-)
+from ffcomp.record.plan import Experiment, Page, Plan, save_plan
 from ffcomp.record.prints import plan_print, print_lines
 from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
 from ffcomp.request import shared_with
@@ -64,7 +58,7 @@ class PlanResult(Result):
     @property
     def captures(self) -> list[str]:
         """Patterns of the captures' names."""
-        return [capture_name(each.name, repeat) for each, repeat in self.plan.runs()] if self.plan.page is None else []
+        return [each.capture for each in self.plan.named_runs]
 
     @property
     def warnings(self) -> list[str]:
