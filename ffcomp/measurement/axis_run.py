@@ -25,7 +25,6 @@ from models.vibration.driven_axis import Input
 MM_PER_DEG = 1e3 * math.pi / 180  # inside, 1 rad is 1 m
 SMALL = {"_mm": 1.0, "_rad": 1e3, "_deg": MM_PER_DEG}  # ending of a column -> its unit in mm
 LARGE = {"_m_per_s2": 1.0, "_rad_per_s2": 1.0, "_deg_per_s2": 1e-3 * MM_PER_DEG}
-FORCES = ("_n", "_n_m")
 # column -> what it is, and its unit in ours
 INPUTS: dict[str, tuple[Input, float]] = {
     **{f"cmd_q{ending}": ("position", scale) for ending, scale in SMALL.items()},
@@ -128,7 +127,7 @@ def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
 
 def _sensors(chosen: str) -> dict[str, tuple[str, float]]:
     """Return the columns that are sensors; the force of an axis that a position drives is one."""
-    measured = {f"{noun}{ending}": ("force", 1.0) for noun, ending in zip(("force", "torque"), FORCES, strict=True)}
+    measured = dict.fromkeys(("force_n", "torque_n_m"), ("force", 1.0))
     return SENSORS | (measured if INPUTS[chosen][0] == "position" else {})
 
 

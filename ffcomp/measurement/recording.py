@@ -108,12 +108,8 @@ def read_recording(path: str | Path) -> Recording:
     if problems or clock is None:
         raise MeasurementError(str(path), problems)
     recording, problems = _assemble(str(path), table, clock)
-    problems += (
-        wrong_scale(recording.command, recording.inputs, recording.acceleration, recording.sample_rate_hz)
-        if not problems
-        else []
-    )
-    problems = problems or with_gravity(recording.acceleration)
+    felt, rate = recording.acceleration, recording.sample_rate_hz
+    problems = problems or wrong_scale(recording.command, recording.inputs, felt, rate) or with_gravity(felt)
     if problems:
         raise MeasurementError(str(path), problems)
     return recording
