@@ -26,6 +26,9 @@ from models.arrays import FloatArray
 DAMPINGS = (1e1, 1e2, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help,
 BENT = (1.0, 0.3)  # with shares of that step, bent
 SMALLEST_DAMPING = 1e-3
+SEARCHED, HALVINGS, SWEEPS = 0.5, 5, 16  # standard deviations of priors that a pattern search begins with; its ends
+MATTERS = 0.1  # of the residual, that an unknown changes so far away
+ENOUGH = 0.005  # of the cost, that a sweep takes off
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 TRUSTED_GAIN = 0.3  # of its predicted gain a step must reach, or derivatives that were kept are too old
 MOST_CHANGE, FINEST = 30.0, 1e-3  # a difference's step shrinks, at most to this share, where it changes more than that
@@ -165,6 +168,35 @@ def fit(
     return replace(here, status=status, n_evaluations=run.count, history=tuple(run.history))
 
 
+def pattern_search(problem: P, start: FloatArray, jacobian: FloatArray) -> FitResult[P]:
+    """Search without derivatives (Hooke & Jeeves, J. ACM 8, 1961), which mislead where a simulation is rough.
+
+    Play and slip ring on after every impact, so that the cost is a wide valley with small bumps on it. Each unknown
+    that matters goes a radius either way; next all go together to where a parabola has its least. The best of these is
+    the next centre; where none is better, the radius is halved. The derivatives stay those of the start.
+    """
+    run = _Run(problem, FitSettings())
+    here, radius = run.begin(start, None, jacobian), SEARCHED
+    here = replace(here, precision=problem.precision(here.residual))
+    sd = 1 / np.sqrt(problem.prior[1])
+    change = SEARCHED * sd * np.linalg.norm(jacobian, axis=0)
+    own = np.flatnonzero(change > MATTERS * float(np.linalg.norm(here.residual)))
+    for _ in range(SWEEPS):
+        moves = radius * np.diag(sd)[own]
+        sides = run.points(here, [*moves, *-moves])
+        ahead, behind = np.split(np.array([point.cost for point in sides]), 2)
+        curvature = ahead + behind - 2 * here.cost
+        bowl = np.clip((behind - ahead) / (2 * np.where(curvature > 0, curvature, np.inf)), -1.0, 1.0)
+        least = np.where(curvature > 0, bowl, np.sign(behind - ahead)) @ moves
+        tried = [*sides, *run.points(here, [share * least for share in (0.5, 1.0, 2.0)])]
+        best = min(tried, key=lambda point: point.cost)
+        if best.cost < (1 - ENOUGH) * here.cost:
+            here = best
+        elif (radius := radius / 2) < SEARCHED / 2**HALVINGS:
+            break
+    return here
+
+
 def derivatives(
     problem: EstimationProblem,
     values: FloatArray,
@@ -261,9 +293,7 @@ class _Run(Generic[P]):
         whole, grown = here.step(damping), [max(damping, SMALLEST_DAMPING) * each for each in DAMPINGS]
         steps = [(whole, damping)]
         for more in (True, False):
-            trials = [np.clip(here.values + step, *self.problem.limits) for step, _ in steps]
-            residuals = self.evaluated(trials, here.sd)
-            points = [replace(here, values=x, residual=r) for x, r in zip(trials, residuals, strict=True)]
+            points = self.points(here, [step for step, _ in steps])
             best = int(np.argmin([point.cost for point in points]))
             if points[best].cost < here.cost:
                 used = steps[best][1]
@@ -274,6 +304,12 @@ class _Run(Generic[P]):
                 bend = points[0].step(damping)  # by the derivatives from before that step: by what they missed
                 steps += [(share * whole + share**2 * bend, damping) for share in BENT]
         return None
+
+    def points(self, here: FitResult[P], steps: Sequence[FloatArray]) -> list[FitResult[P]]:
+        """Return the fit as it is after each of several steps, with the derivatives from here."""
+        trials = [np.clip(here.values + step, *self.problem.limits) for step in steps]
+        residuals = self.evaluated(trials, here.sd)
+        return [replace(here, values=x, residual=r) for x, r in zip(trials, residuals, strict=True)]
 
     def renewed(self, here: FitResult[P], columns: Sequence[int] | None = None, central: bool = False) -> FitResult[P]:
         """Take derivatives again, by some unknowns or all: in closed form, or by differences."""
