@@ -152,10 +152,10 @@ class StepwiseFit(MachineFit):
 
     @property
     def headline(self) -> str:
-        """How well the steps describe their responses."""
+        """How well the steps agree with themselves."""
         worst = max(self.result.steps, key=lambda step: step.consistency)
         return (
-            f"{len(self.result.steps)} steps of the paper's method; its equations describe the responses worst in "
+            f"{len(self.result.steps)} steps of the paper's method; their redundant equations agree worst in "
             f"{worst.title} (χ² {worst.consistency:.2f} per degree of freedom)."
         )
 

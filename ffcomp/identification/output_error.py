@@ -89,7 +89,6 @@ class Fitted:
     weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
     delays_s: Mapping[str, Estimate]  # of each clock
     rotation_deg: Mapping[str, Estimate]  # of the accelerometer about x, y, z; empty: not of captures
-    covariance: FloatArray  # (p, p) of all that was fitted: logarithms of the unknowns first, in their order
     common_scale_sd: float  # relative, of all masses, stiffnesses and dampings together
     beside_scale: Mapping[str, Estimate]  # the unknowns, that common scale being given
     misfit: float  # χ² by degree of freedom against the measured noise alone
@@ -303,7 +302,6 @@ def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
         weak=_weak(problem, covariance),
         delays_s={clock: found[clock] for clock in problem.clocks},
         rotation_deg={angle[-1]: found[angle].scaled(float(np.degrees(1.0))) for angle in problem.angles},
-        covariance=covariance,
         common_scale_sd=scale_sd,
         beside_scale=estimates(problem.numbers[: len(problem.names)], theta, beside),
         misfit=float(chi) / (problem.count - len(theta)),
