@@ -184,7 +184,7 @@ class AxisProblem(Problem):
 class ForceBalance(AxisProblem):
     """The force of the drive next to the one that the measured motion needs: at every sample, from its state there."""
 
-    forces = by_signal = True
+    forces = True
 
     def __init__(self, problem: AxisProblem) -> None:
         self.__dict__.update(problem.__dict__)

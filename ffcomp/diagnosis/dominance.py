@@ -72,7 +72,7 @@ def dominant_effect(
         return None
     whiten, names = estimation.whiten, sorted({s for o in estimation.whiten.observations for s in o.signals})
     scopes = {"": np.ones(len(base.residual), dtype=bool)}
-    if estimation.problem.by_signal and len(names) > 1:
+    if estimation.problem.forces and len(names) > 1:
         scopes |= {name: whiten.of_signal(name) for name in names}
     progress("nothing explains all of it: looking for what explains most")
     asked = _Asked(estimation, base, single, progress)

@@ -190,7 +190,6 @@ class Problem(ABC):
     commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
     commanded: bool = True  # by a position, which a firmware may shape; else by a force
     forces: bool = False  # compared are the drive's force and the one that the measured motion needs, not signals
-    by_signal: bool = False  # each signal is compared by itself: what one leaves says nothing of another
     least_density: Mapping[str, float | FloatArray] = {}  # of a signal's noise, unit²/Hz (at `noise_grid`), at least
 
     @cached_property

@@ -112,7 +112,7 @@ def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: flo
 def test_what_explains_one_signal_is_named_in_it_where_each_is_compared_by_itself() -> None:
     problem = Linear((1.0, 1.02, 0.98, 1.0), 0.2, (RUBS, BENDS), second=2.0)
     assert dominant_of(problem) is None
-    problem.by_signal = True
+    problem.forces = True
     found = dominant_of(problem)
     assert found is not None and found.hypothesis.names == (RUBS,) and found.signal == "acc_x"
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.04), abs=0.04)
