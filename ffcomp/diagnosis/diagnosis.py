@@ -111,8 +111,7 @@ class Diagnosis:
             return 0.0
         behind = np.array([*map(self.behind, self.tried), best.fit.ahead_of(self.base) / self.share])
         likely = np.exp(-0.5 * np.clip(behind, 0.0, 1e3))
-        having = [cause in h.causes for h in self.tried]
-        return float(likely[:-1] @ having / likely.sum())
+        return float(likely[:-1] @ [cause in h.causes for h in self.tried] / likely.sum())
 
     @property
     def invisible(self) -> list[str]:

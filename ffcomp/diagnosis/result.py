@@ -24,6 +24,7 @@ from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import ALL_OF, keys
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
+from models.quantities import Quantities
 
 LATE_S = 1e-4  # a later file is reported
 OFF_SHARE = 0.05  # of a number of the file: a larger error is reported
@@ -219,8 +220,7 @@ class DiagnosisResult:
         """Return the posterior probability of its cause."""
         # tested at one place, or wrong numbers of the file would explain as much: at most so sure
         tested = 1.0 if self.gap.left_out in ("places", "windows") else 0.9
-        told = 1.0 if self.search.file_off is None else 0.5
-        return min(self.search.posterior(CATALOGUE[effect].cause), tested, told)
+        return min(self.search.posterior(CATALOGUE[effect].cause), tested, 1.0 if self.search.file_off is None else 0.5)
 
     def parameters(self, effect: str) -> dict[str, Interval]:
         """Return value, low and high of one effect by the machine file's keys."""
@@ -346,17 +346,8 @@ class DiagnosisResult:
             if of_machine(n.name):
                 scale = self.problem.quantities.scale(n.name)
                 change = Change(scale * n.start, scale * self.problem.stated(fitted.values, n.name))
-                numbers.append((self._file_key(n.name), float(z), change))
+                numbers.append((file_key(n.name, self.problem.quantities), float(z), change))
         return sorted(numbers, key=lambda each: -abs(each[1]))
-
-    def _file_key(self, name: str) -> str:
-        """Return the key of one of the machine's numbers in its file."""
-        quantities = self.problem.quantities
-        if not name.startswith(IN_FILE):
-            return quantities.key(name)
-        _, effect, key = name.removeprefix(IN_FILE).split(".")
-        key, bracket, index = key.partition("[")
-        return f"effects.{effect}.{key_in_file(effect, key, quantities)}{bracket}{index}"
 
     @cached_property
     def late_s(self) -> dict[str, float]:
@@ -406,6 +397,15 @@ class DiagnosisResult:
         if self.search.dominant is not None:
             entry["explains_of_the_gap_elsewhere"] = float(f"{self.search.dominant.explained:.3g}")
         return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+
+
+def file_key(name: str, quantities: Quantities) -> str:
+    """Return the key of one of the machine's numbers in its file."""
+    if not name.startswith(IN_FILE):
+        return quantities.key(name)
+    _, effect, key = name.removeprefix(IN_FILE).split(".")
+    key, bracket, index = key.partition("[")
+    return f"effects.{effect}.{key_in_file(effect, key, quantities)}{bracket}{index}"
 
 
 def of_machine(name: str) -> bool:

@@ -27,6 +27,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ffcomp.diagnosis.candidates import IN_FILE
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, deviations, estimation_problem, fit
 from ffcomp.diagnosis.held_out import groups, hold_out
 from ffcomp.diagnosis.noise import at_least, noise_floor, noise_share, raised_to_residual, whitener
@@ -263,7 +264,7 @@ def update_problem(machine: Machine, recordings: Sequence[Recording], request: U
     problem.parameters = tuple(
         each if belongs_to_recording(each.name) else _prior(each, machine, known, request)
         for each in problem.parameters
-        if each.name not in skipped
+        if each.name not in skipped and not each.name.startswith(IN_FILE)
     )
     return problem
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.gap import Discrepancy
-from ffcomp.diagnosis.result import DiagnosisResult, of_machine
+from ffcomp.diagnosis.result import DiagnosisResult, file_key, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
 from ffcomp.diagnosis.where import Overlay, ResidualCurve, Split, overlays_of
 from ffcomp.diagnosis.words import digits, evidence, interval, joined, percent, times, times_noise, title
@@ -98,15 +98,15 @@ def _evidence(diagnosis: Diagnosis) -> Table:
 
 def _retuned(diagnosis: Diagnosis) -> Table:
     """List the machine file's parameters, those that moved furthest first."""
-    search = diagnosis.search
+    search, quantities = diagnosis.search, diagnosis.problem.quantities
     intervals = search.intervals or intervals_of(search.estimation, search.final)
     moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in search.final.parameters if of_machine(n.name)]
     rows = [
         (
-            diagnosis.problem.quantities.key(n.name),
-            digits(n.start, 5),
+            file_key(n.name, quantities),
+            digits(quantities.scale(n.name) * n.start, 5),
             percent(n.sd / abs(n.start)) if n.start else digits(n.sd),
-            interval(intervals[n.name]),
+            interval(intervals[n.name].scaled(quantities.scale(n.name))),
             f"{sds:+.1f}",
         )
         for n, sds in sorted(moved, key=lambda each: -abs(each[1]))

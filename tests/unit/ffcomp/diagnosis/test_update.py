@@ -19,6 +19,7 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.record.plan import plain_motion
 from ffcomp.record.result import measured_run, recording_lines
+from models.effects.catalogue import with_effects
 from models.file import load_machine, machine_of_text
 from models.machine import Machine, value_of
 from tests.support.cli import CliRunner
@@ -121,6 +122,11 @@ def test_the_file_states_what_was_learnt(updates: list[tuple[tuple[float, float]
 def prior(known: Machine, asked: UpdateRequest) -> dict[str, Parameter]:
     problem = update_problem(known, layers([printer(55.0, 43.0)]), asked)
     return {each.name: each for each in problem.parameters}
+
+
+def test_the_effects_of_a_file_stay_as_they_are() -> None:
+    filed = with_effects(machine(), {"coulomb_friction": {"force_n": 2.0}})
+    assert prior(filed, request()).keys() == prior(machine(), request()).keys()
 
 
 def test_numbers_that_are_worse_on_layers_left_out_are_not_written() -> None:
