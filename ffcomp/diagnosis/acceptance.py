@@ -26,9 +26,9 @@ def rejections(
     """List the acceptance tests that a hypothesis fails, in words; none if it is accepted.
 
     What counts is the prediction where it was left out of the fit, all places or windows together: one with little
-    motion has little to explain, and weighs as little. By chance alone the likelihood ratio there is 1 on average, or
-    less, so that it is an e-value: of the families that are looked for none is named wrongly more often than
-    `false_discoveries` if it exceeds their number over that (e-BH: Wang & Ramdas, J. R. Stat. Soc. B 84, 2022).
+    motion has little to explain, and weighs as little. Without the effect the likelihood ratio there is 1 on average,
+    or less: an e-value. One above the number of families over `false_discoveries` limits the share of wrong names to
+    that (e-BH: Wang & Ramdas, J. R. Stat. Soc. B 84, 2022); nearly, because the parts share most of their fits.
     """
     settings, failed = estimation.settings, list[str]()
     families = len({CATALOGUE[c.name].cause for c in estimation.problem.candidates})

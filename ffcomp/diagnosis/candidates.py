@@ -26,7 +26,7 @@ from models.printer.one_axis import axis_effects
 BOTH = 9.0  # in place of an angle: alike in x and y
 USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
 PROBE = 0.1  # of a usual size: the signature of an axis' effect is taken there
-IN_FILE = "file."  # before the names of an effect's numbers that the file has: they are retuned as its others are
+IN_FILE = "file."  # prefix of the sizes of effects that the file states: retuned like its other numbers
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
@@ -47,7 +47,7 @@ def machine_parameters(machine: Machine) -> list[Parameter]:
 
 
 def _sizes_in_file(machine: Machine) -> dict[str, float]:
-    """Return how large the file says that its effects are, by name."""
+    """Return the sizes of the effects that the file states, by name."""
     sizes: dict[str, float] = {}
     for effect, table in machine.effects.items():
         for key in (a.name for a in CATALOGUE[effect].amplitudes if a.name in table):
@@ -58,7 +58,7 @@ def _sizes_in_file(machine: Machine) -> dict[str, float]:
 
 
 def machine_with(machine: Machine, values: Mapping[str, float]) -> Machine:
-    """Return a machine with other numbers and with more effects, from parameters by their names."""
+    """Return the machine with fitted parameters, by name: numbers of its file, and effects that are added."""
     own = {name: x for name, x in values.items() if not name.startswith((IN_FILE, "effects."))}
     effects = {name: dict(table) for name, table in machine.effects.items()}
     for name, x in values.items():
@@ -168,7 +168,7 @@ def _possible_effects(machine: Machine, commands: Sequence[FloatArray]) -> list[
 
 
 def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozenset[int]:
-    """Return which actuators rest in all recordings, and their motors with them: nothing can be said of them."""
+    """Return which actuators rest in all recordings, and their motors with them: they cannot be identified."""
     travel = np.max([np.ptp(command, axis=0) for command in commands], axis=0)
     moves = travel > 0.05  # mm: an actuator that moves less rests
     driven = np.abs(machine.kinematics.motors) @ moves > 0

@@ -246,7 +246,7 @@ def student_share(freedom: int) -> float:
 
 
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve matrix x = right, symmetric and positive definite: scaled, for its diagonal may span twenty decades."""
+    """Solve matrix x = right, symmetric and positive definite: scaled, because its diagonal may span twenty decades."""
     scale = 1 / np.sqrt(np.diag(matrix))
     regular = matrix * np.outer(scale, scale) + engine.RIDGE * np.eye(len(scale))
     scaled = np.linalg.solve(regular, scale * right if right.ndim == 1 else scale[:, None] * right)

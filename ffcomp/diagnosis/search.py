@@ -52,7 +52,7 @@ from models.effects.catalogue import CATALOGUE
 SIZES = (1.0, 0.2, 0.04, -0.04, -0.2, -1.0)  # of a usual size, where fits may begin
 ESTIMATES = (1.0, 0.3)  # of the linear estimate
 ADDED_SIZES = (0.1, 0.3, 1.0, -0.1, -0.3, -1.0)  # of the usual size of what a richer form adds
-LOUD = 0.1  # of the signals' power: what is left is far from linear
+LOUD = 0.1  # of the signals' power: a larger residual is far from linear
 SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
 
 
@@ -105,8 +105,8 @@ def find_best(search: Search) -> Selection:
 def _first_level(search: Search) -> list[Hypothesis]:
     """Return the likeliest hypotheses of one effect, the likeliest first; that of none where no effect is visible.
 
-    A rest that is most of the discrepancy, and as loud as the signals, is far from linear: what derivatives say at the
-    start does not lead to the optimum, least of all of play and slip. There every fit goes on without them.
+    If no effect explains most of a loud residual, that is far from linear, and derivatives do not lead to the optimum,
+    least of all of backlash. Then all fits are continued without them.
     """
     none, chosen, settings = Hypothesis((), search.retuned), _chosen(search, [search.retuned]), search.settings
     quick = _quick_fits(search, none, search.screened, chosen)

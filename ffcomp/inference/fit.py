@@ -27,8 +27,8 @@ DAMPINGS = (1e1, 1e2, 1e3, 1e4, 1e5)  # tried at once, times the last one, where
 BENT = (1.0, 0.3)  # with shares of that step, bent
 SMALLEST_DAMPING = 1e-3
 SEARCHED, HALVINGS, SWEEPS = 0.5, 5, 16  # standard deviations of priors that a pattern search begins with; its ends
-MATTERS = 0.1  # of the residual, that an unknown changes so far away
-ENOUGH = 0.005  # of the cost, that a sweep takes off
+MATTERS = 0.1  # of the residual: an unknown that changes less of it stays
+ENOUGH = 0.005  # of the cost: a sweep that gains less halves the radius
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 TRUSTED_GAIN = 0.3  # of its predicted gain a step must reach, or derivatives that were kept are too old
 MOST_CHANGE, FINEST = 30.0, 1e-3  # a difference's step shrinks, at most to this share, where it changes more than that
@@ -171,9 +171,9 @@ def fit(
 def pattern_search(problem: P, start: FloatArray, jacobian: FloatArray) -> FitResult[P]:
     """Search without derivatives (Hooke & Jeeves, J. ACM 8, 1961), which mislead where a simulation is rough.
 
-    Play and slip ring on after every impact, so that the cost is a wide valley with small bumps on it. Each unknown
-    that matters goes a radius either way; next all go together to where a parabola has its least. The best of these is
-    the next centre; where none is better, the radius is halved. The derivatives stay those of the start.
+    Impacts, as of backlash, make the cost a wide valley with small bumps on it. Each unknown that matters moves by a
+    radius either way; then all move together to the minimum of a parabola through these points. The best point is the
+    next centre; if none is better, the radius, in priors' standard deviations, is halved. Derivatives stay the start's.
     """
     run = _Run(problem, FitSettings())
     here, radius = run.begin(start, None, jacobian), SEARCHED

@@ -115,7 +115,7 @@ class DrivenAxis(VibrationModel):
 
     @property
     def back_emf(self) -> float:
-        """Return what of the damping is the back EMF of a motor that a voltage drives, N s/m: all, if not stated."""
+        """Return the back EMF of a motor that a voltage drives, N s/m: all of the damping without its constants."""
         by_voltage = self.input in ("voltage", "duty") or self.drive.gain_v_per_m > 0.0
         if not by_voltage:
             return 0.0

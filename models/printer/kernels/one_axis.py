@@ -43,7 +43,7 @@ class AxisParameters(NamedTuple):
     by_force: float = 0.0  # 1: the input is a force
     drive_damping: float = 0.0  # N s/m, across the drive's spring
     drive_limit: float = math.inf  # N, of the drive
-    back_emf: float = 0.0  # N s/m of `damping`, which presses no teeth together
+    back_emf: float = 0.0  # N s/m, the part of `damping` that does not load the gear
     dry: float = 0.0
     sticking: float = 0.0
     fading: float = 0.0

@@ -155,7 +155,7 @@ def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itsel
         runs = [replace(run, drive=drive * run.drive, command_space=given) for run in recorded]
         balance = AxisProblem(with_effects(machine, {"friction_by_load": {"share": share}}), runs, NAMES).compared()
         needed = np.concatenate(balance.simulate({}))[60:2300, 0]
-        emf = DAMPING * v if machine is volts else 0.0 * v  # of a voltage, what turns the motor presses no teeth
+        emf = DAMPING * v if machine is volts else 0.0 * v  # of a voltage, this part does not load the gear
         forwards = np.where(rest > emf, 1 - share, 1 + share)
         np.testing.assert_allclose((needed - emf) * forwards, rest - emf, atol=0.01)
 
