@@ -1,13 +1,12 @@
 """What of a printer may change between two checks, each change fitted by itself to the difference of their signals.
 
 A change is one number: belts (all, or each), mass on the nozzle holder, damping and dry friction of the guides; of
-straight axes frequency and damping of each mode. A few sizes of each are simulated; between them the response is
-interpolated. Each experiment may be late by what its clock allows.
+straight axes frequency and damping of each mode. Each experiment may be late by as much as its clock allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -15,9 +14,10 @@ from typing import ClassVar
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag
-from scipy.optimize import lsq_linear
 
 from ffcomp.check.signals import DEPENDENT, FROM_DAY_TO_DAY, RATE_HZ, SensorSignal, in_band, rows_of, share_apart
+from ffcomp.inference.fit import FitSettings, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.clock import RATE_HZ as SIMULATED_HZ
 from ffcomp.record.clock import simulated
@@ -28,10 +28,9 @@ from models.machine import Machine, value_of, with_values
 
 SPARE_S = 0.4  # simulated before and after
 AS_NOISE = 1.25  # times the noise: nothing has changed
-SIZES = np.array([-0.6, 0.6])  # of their usual sizes: how far changes are simulated at first
-TRIED, ROUNDS = 3, 3  # changes whose best size is simulated too, and how often
-BEYOND = 2.5  # times the simulated sizes may the best size lie beyond them
-EARLIER_STEPS = 2  # from the machine file to the printer of an earlier check
+STEP = 0.1  # of a change's usual size: of differences
+EARLIER = FitSettings(steps=2, keep=True)  # from the machine file to the printer of an earlier check
+ALONE = FitSettings(steps=8, share=0.02, keep=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,66 +108,63 @@ def expected_signals(machines: Sequence[Machine], experiments: Sequence[Experime
     UnreachableError
         If a machine cannot execute a motion.
     """
-    signals = []
-    for each in experiments:
-        t = np.arange(-SPARE_S, each.duration_s + SPARE_S, 1.0 / SIMULATED_HZ)
-        command = machines[0].kinematics.inverse(each.motion.nozzle(t))
-        motions = zip(machines, simulated(machines, [command] * len(machines)), strict=True)
-        sensed = [in_band(measured(machine, played.signals).nozzle, SIMULATED_HZ) for machine, played in motions]
+    times = [np.arange(-SPARE_S, each.duration_s + SPARE_S, 1.0 / SIMULATED_HZ) for each in experiments]
+    paths = [each.motion.nozzle(t) for each, t in zip(experiments, times, strict=True)]
+    commands = [machines[0].kinematics.inverse(path) for path in paths for _ in machines]
+    motions, signals = iter(simulated([*machines] * len(experiments), commands)), list[FloatArray]()
+    for each, t in zip(experiments, times, strict=True):
+        sensed = [in_band(measured(machine, next(motions).signals).nozzle, SIMULATED_HZ) for machine in machines]
         signals.append(np.array([CubicSpline(t, rows)(rows_of(each.duration_s)) for rows in sensed]))
     return signals
-
-
-def _flat(signals: Sequence[FloatArray]) -> FloatArray:
-    """Join the experiments of m machines, (m, n, 3) each, to (m, rows)."""
-    return np.concatenate([each.reshape(len(each), -1) for each in signals], axis=1)
 
 
 # ---- the fit -------------------------------------------------------------------------------------
 
 
-class _Weighing:
-    """Inner products of signals in units of their noise, with the delay of each experiment fitted."""
+class _Changes(EstimationProblem):
+    """How large some changes of a machine are, by the signals of experiments, whose delays are fitted too."""
 
-    def __init__(self, felt: Sequence[SensorSignal], noise: Sequence[FloatArray], clock_sd_s: Sequence[float]) -> None:
-        self.sd = np.concatenate(
-            [np.sqrt(DEPENDENT) * np.tile(n, len(f.acceleration)) for f, n in zip(felt, noise, strict=True)]
-        )
-        slopes = block_diag(*(np.gradient(each.acceleration, 1.0 / RATE_HZ, axis=0).reshape(-1, 1) for each in felt))
-        known = np.vstack([slopes / self.sd[:, None], np.diag(1.0 / np.array(clock_sd_s))])
-        self.late = np.linalg.qr(known)[0][: len(slopes)]
+    def __init__(
+        self,
+        machine: Machine,
+        experiments: Sequence[Experiment],
+        felt: Sequence[SensorSignal],
+        changes: Sequence[Change],
+    ) -> None:
+        self.machine, self.experiments, self.changes = machine, experiments, changes
+        self.unknowns = [Unknown(each.name, 0.0, each.sd, each.low, each.high, STEP * each.sd) for each in changes]
+        variances = [np.tile(DEPENDENT * each.noise**2, len(each.acceleration)) for each in felt]
+        self.observations = [Observation(f.acceleration.ravel(), v) for f, v in zip(felt, variances, strict=True)]
+        self.sd = self.deviations(np.zeros(len(felt)))
+        slopes = block_diag(*(np.gradient(f.acceleration, 1.0 / RATE_HZ, axis=0).reshape(-1, 1) for f in felt))
+        clocks = np.diag([1.0 / each.clock_sd_s for each in felt])
+        self.late = np.linalg.qr(np.vstack([slopes / self.sd[:, None], clocks]))[0]
 
-    def __call__(self, signals: FloatArray) -> FloatArray:
-        """Return the products (k, k) of signals (k, rows)."""
-        weighed = signals / self.sd
-        late = weighed @ self.late
-        return weighed @ weighed.T - late @ late.T
+    def machine_at(self, values: FloatArray) -> Machine:
+        machine = self.machine
+        for change, value in zip(self.changes, values.tolist(), strict=True):
+            machine = change.changed(machine, value) if value else machine
+        return machine
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        signals = expected_signals([self.machine_at(values) for values in lanes], self.experiments)
+        yield from np.concatenate([each.reshape(len(lanes), -1) for each in signals], axis=1)
+
+    def whitened(self, simulated: FloatArray, sd: FloatArray) -> FloatArray:
+        return self.without_delays(self.measured - simulated)
+
+    def without_delays(self, signals: FloatArray) -> FloatArray:
+        """Return signals (rows,) in units of their noise, then the delays in units of their clocks, both fitted."""
+        whole = np.append(signals / self.sd, np.zeros(len(self.late) - len(self.sd)))
+        return whole - self.late @ (self.late.T @ whole)
 
 
 def earlier_machine(machine: Machine, experiments: Sequence[Experiment], then: Sequence[SensorSignal]) -> Machine:
     """Fit the printer of an earlier check, whose machine file is only near it: small changes all at once."""
     changes = [each for each in changes_of(machine) if not each.special]
-    noise = [np.hypot(each.noise, FROM_DAY_TO_DAY * each.size) for each in then]
-    products = _Weighing(then, noise, [each.clock_sd_s for each in then])
-    felt, values = np.concatenate([each.acceleration.ravel() for each in then]), np.zeros(len(changes))
-    sd, low, high = (np.array([getattr(each, key) for each in changes]) for key in ("sd", "low", "high"))
-    steps = np.where(high > 0.0, 0.1, -0.1) * sd
-    for _ in range(EARLIER_STEPS):
-        machines = [_changed(machine, changes, values + row) for row in np.vstack([0.0 * steps, np.diag(steps)])]
-        here, *moved = _flat(expected_signals(machines, experiments))
-        square = products(np.vstack([felt - here, *(each - here for each in moved)]))
-        normal = square[1:, 1:] / np.outer(steps, steps) + np.diag(sd**-2.0)
-        root = np.linalg.cholesky(normal)
-        right = np.linalg.solve(root, square[1:, 0] / steps - values / sd**2)
-        values = values + lsq_linear(root.T, right, (low - values - 1e-12, high - values + 1e-12)).x
-        values = np.clip(values, low, high)
-    return _changed(machine, changes, values)
-
-
-def _changed(machine: Machine, changes: Sequence[Change], values: FloatArray) -> Machine:
-    for change, value in zip(changes, values.tolist(), strict=True):
-        machine = change.changed(machine, value) if value else machine
-    return machine
+    felt = [replace(each, noise=np.hypot(each.noise, FROM_DAY_TO_DAY * each.size)) for each in then]
+    problem = _Changes(machine, experiments, felt, changes)
+    return problem.machine_at(fit(problem, np.zeros(len(changes)), EARLIER).values)
 
 
 @dataclass(frozen=True)
@@ -211,65 +207,37 @@ def compare(
     machine: Machine, experiments: Sequence[Experiment], pairs: Sequence[tuple[SensorSignal, SensorSignal]]
 ) -> Difference:
     """Explain the difference of pairs, today and then, by changes of the machine of then."""
-    noise = [np.sqrt(now.noise**2 + then.noise**2 + (FROM_DAY_TO_DAY * now.size) ** 2) for now, then in pairs]
-    clocks = [float(np.hypot(now.clock_sd_s, then.clock_sd_s)) for now, then in pairs]
-    products = _Weighing([then for _, then in pairs], noise, clocks)
-    apart = np.concatenate([(now.acceleration - then.acceleration).ravel() for now, then in pairs])
-    rows, left = len(apart) / DEPENDENT, float(products(apart[None])[0, 0])
-    changed = max(left - rows, 1e-9 * left)
-    tried = {each: [(0.0, 0.0 * apart)] for each in changes_of(machine)}
-    unchanged = _flat(expected_signals([machine], experiments))[0]
-
-    def simulate(wanted: Sequence[tuple[Change, float]]) -> None:
-        machines = [change.changed(machine, size) for change, size in wanted]
-        for (change, size), felt in zip(wanted, _flat(expected_signals(machines, experiments)), strict=True):
-            tried[change].append((size, felt - unchanged))
-
-    def explained() -> list[Explanation]:
-        found = []
-        for change, responses in tried.items():
-            value, sd, cost = _best_size(change, responses, apart, products)
-            found.append(Explanation(change, value, sd, (left - cost) / changed))
-        return sorted(found, key=lambda each: -each.share)
-
-    simulate(
-        [(each, size) for each in tried for size in np.clip(SIZES * each.sd, each.low, each.high).tolist() if size]
-    )
-    found = explained()
-    for _ in range(ROUNDS if left > AS_NOISE**2 * rows else 0):
-        simulate([(each.change, each.value) for each in found[:TRIED]])
-        found = explained()
-    felt = np.concatenate([then.acceleration for _, then in pairs])
-    turned = np.column_stack([felt[:, 1], -felt[:, 0], 0.0 * felt[:, 2]])
-    square = products(np.stack([apart, turned.ravel(), felt.ravel()]))
-    turn, gain = np.linalg.solve(square[1:, 1:], square[1:, 0])
+    changes, felt = changes_of(machine), list[SensorSignal]()
+    for unchanged, (now, then) in zip(expected_signals([machine], experiments), pairs, strict=True):
+        noise = np.sqrt(now.noise**2 + then.noise**2 + (FROM_DAY_TO_DAY * now.size) ** 2)
+        clock = float(np.hypot(now.clock_sd_s, then.clock_sd_s))
+        changed_to = unchanged[0] + now.acceleration - then.acceleration
+        felt.append(replace(now, acceleration=changed_to, noise=noise, clock_sd_s=clock))
+    problem = partial(_Changes, machine, experiments, felt)
+    here = fit(problem(changes), np.zeros(len(changes)), FitSettings(steps=0))
+    rows, left = len(here.sd) / DEPENDENT, float(here.residual @ here.residual)
+    changed, found = max(left - rows, 1e-9 * left), list[Explanation]()
+    sizes = np.diag(here.information).tolist()
+    for i, (change, slope, size) in enumerate(zip(changes, here.gradient.tolist(), sizes, strict=True)):
+        value, sd, rest = slope / size, size**-0.5, left - slope**2 / size  # as far as it is in proportion
+        if left > AS_NOISE**2 * rows:
+            one = fit(problem([change]), np.zeros(1), ALONE, jacobian=here.jacobian[:, [i]])
+            value, sd, rest = one.values.item(), one.information.item() ** -0.5, float(one.residual @ one.residual)
+        found.append(Explanation(change, value, sd, (left - rest) / changed))
+    before = np.concatenate([then.acceleration for _, then in pairs])
+    turned = np.column_stack([before[:, 1], -before[:, 0], 0.0 * before[:, 2]])
+    sensor = np.column_stack([here.problem.without_delays(each.ravel()) for each in (turned, before)])
+    turn, gain = np.linalg.lstsq(sensor, here.residual)[0].tolist()
     signal = np.sqrt(np.mean([now.size**2 for now, _ in pairs]))
-    size = np.sqrt(np.mean([(now.size * share_apart(now, then.acceleration)) ** 2 for now, then in pairs]))
+    differs = np.sqrt(np.mean([(now.size * share_apart(now, then.acceleration)) ** 2 for now, then in pairs]))
     quiet = np.sqrt(np.mean([np.mean(now.noise**2 + then.noise**2) for now, then in pairs]))
     return Difference(
-        size=float(size / signal),
+        size=float(differs / signal),
         noise=float(quiet / signal),
         times=float(np.sqrt(left / rows)),
         rows=rows,
-        explanations=tuple(found),
+        explanations=tuple(sorted(found, key=lambda each: -each.share)),
         turned_deg=float(np.rad2deg(turn)),
-        gain=float(gain),
-        sensor_share=float(square[0, 1:] @ [turn, gain]) / changed,
+        gain=gain,
+        sensor_share=float(here.residual @ sensor @ [turn, gain]) / changed,
     )
-
-
-def _best_size(
-    change: Change, responses: Sequence[tuple[float, FloatArray]], apart: FloatArray, products: _Weighing
-) -> tuple[float, float, float]:
-    """Return the size whose interpolated response fits the difference best, its standard deviation, and the cost."""
-    nodes = dict(sorted(responses, key=lambda each: each[0]))
-    sizes = np.array(list(nodes))
-    weights = CubicSpline(sizes, np.eye(len(sizes)))
-    square = products(np.stack([apart, *nodes.values()]))
-    values = np.linspace(max(BEYOND * sizes[0], change.low), min(BEYOND * sizes[-1], change.high), 1001)
-    left = np.column_stack([np.ones(len(values)), -weights(values)])
-    costs = np.einsum("vi,ij,vj->v", left, square, left)
-    best = int(costs.argmin())
-    slope = weights(values[best], 1)
-    information = float(slope @ square[1:, 1:] @ slope)
-    return float(values[best]), max(information, 1e-300) ** -0.5, float(costs[best])
