@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.problem import Observation, Problem
+from ffcomp.measurement.clock import fill_gaps
 from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
@@ -86,7 +87,7 @@ def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None
     pairs = [(a, b) for a, b in pairwise(ordered) if a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)]
     if not pairs:
         return None
-    grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)
+    grid = noise_grid([a for a, _ in pairs])
     density = {}
     for signal in sorted({name for a, b in pairs for name in a.signals if name in b.signals}):
         both = [(a, b) for a, b in pairs if signal in a.signals and signal in b.signals]
@@ -203,15 +204,6 @@ def noise_share(whiten: Whitener, measured: FloatArray, part: slice | NDArray[np
 
 def _column(observation: Observation, signal: str) -> FloatArray:
     return fill_gaps(observation.measured[:, observation.signals.index(signal)])
-
-
-def fill_gaps(values: FloatArray) -> FloatArray:
-    """Bridge missing samples by straight lines: (n,) -> (n,)."""
-    missing = ~np.isfinite(values)
-    if not missing.any():
-        return values
-    t = np.arange(len(values))
-    return np.where(missing, np.interp(t, t[~missing], values[~missing]), values)
 
 
 def density_of(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:

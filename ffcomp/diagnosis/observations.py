@@ -14,9 +14,9 @@ from itertools import zip_longest
 
 import numpy as np
 
-from ffcomp.diagnosis.noise import fill_gaps
 from ffcomp.diagnosis.problem import Observation
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.clock import fill_gaps
 from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.sensors import command_unit, misplaced, wrong_scale
 from models.arrays import FloatArray

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.diagnosis.noise import fill_gaps
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
+from ffcomp.measurement.clock import fill_gaps
 from ffcomp.measurement.faults import compare_repeats
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import moved_columns

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import AxisRun
+from ffcomp.measurement.clock import fill_gaps
 from models.arrays import FloatArray
 from models.effects.effect import MotionScales
 from models.kinds import driven_axis
@@ -106,7 +107,7 @@ def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
             given = f"The run gives a {run.command_space}, but axis.input of {machine.name} is {wanted!r}"
             raise MeasurementError(run.source, [f"{given}: change one of the two."])
     mean = [_mean(runs, i) for i in range(len(runs))]
-    speeds = [speed_of(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
+    speeds = [speed_of(fill_gaps(_place(run)), run.sample_rate_hz) for run in mean]
     held = not driven_axis(machine).free or (HOLDING & machine.effects.keys() and _pulled_back(mean, speeds))
     needed = not held and any(run.position for run in runs)
     seconds = max(_shot_s(runs, speeds), PERIODS * _period_s(driven_axis(machine))) if needed else 0.0
@@ -123,7 +124,7 @@ def _pulled_back(runs: Sequence[AxisRun], speeds: Sequence[FloatArray]) -> bool:
     drive = np.concatenate([run.drive for run in runs])
     speed = np.concatenate(speeds)
     change = np.concatenate([np.gradient(v, 1 / run.sample_rate_hz) for v, run in zip(speeds, runs, strict=True)])
-    place = np.concatenate([_bridged(_place(run)) for run in runs])
+    place = np.concatenate([fill_gaps(_place(run)) for run in runs])
     place = (place - place.mean()) / max(float(np.abs(place - place.mean()).max()), 1e-12)
     without = np.column_stack([np.ones(len(drive)), drive, speed])
     columns = np.column_stack([without, place, place**3])
@@ -189,7 +190,7 @@ def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
     run = runs[i]
     same = [r for r in runs if r.repeat_of == run.repeat_of and np.array_equal(r.drive, run.drive)]
     kept = [r for r in same if r.position.keys() == run.position.keys()]
-    return replace(run, position={k: np.mean([_bridged(r.position[k]) for r in kept], axis=0) for k in run.position})
+    return replace(run, position={k: np.mean([fill_gaps(r.position[k]) for r in kept], axis=0) for k in run.position})
 
 
 def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Shots:
@@ -227,12 +228,6 @@ def _place(run: AxisRun) -> FloatArray:
     """Return where the axis was, (n,) mm: measured; else as commanded, or where it began."""
     commanded = np.zeros(len(run.drive)) if run.by_force else run.drive
     return run.place if run.position else commanded
-
-
-def _bridged(x: FloatArray) -> FloatArray:
-    known = np.isfinite(x)
-    t = np.arange(len(x))
-    return x if known.all() else np.interp(t, t[known], x[known])
 
 
 def speed_of(place: FloatArray, rate: float) -> FloatArray:
@@ -301,7 +296,7 @@ def band_of(shots: Sequence[Shots]) -> tuple[float, float]:
 
 
 def _where_it_ends(one: Shots, name: str) -> float:
-    x = _bridged(one.forced_motion(name))
+    x = fill_gaps(one.forced_motion(name))
     power = np.cumsum(np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)))) ** 2)
     return float(np.searchsorted(power, MOST_OF_POWER * power[-1]) * one.run.sample_rate_hz / len(x))
 
@@ -317,7 +312,7 @@ def windows(one: Shots) -> list[slice]:
 
 def scales_of(machine: Machine, shots: Sequence[Shots]) -> MotionScales:
     """Take the sizes of the motion from the runs."""
-    places = np.concatenate([1e-3 * (p - np.mean(p)) for p in (_bridged(_place(one.run)) for one in shots)])
+    places = np.concatenate([1e-3 * (p - np.mean(p)) for p in (fill_gaps(_place(one.run)) for one in shots)])
     speed = float(np.sqrt(np.mean(np.concatenate([one.speed for one in shots]) ** 2))) / 1e3
     force = _force(machine, shots)
     way, k = float(np.std(places)), driven_axis(machine).last_stiffness

@@ -137,3 +137,10 @@ def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]
         f"{time_s[k + 1]:.9g} s ({len(off)} such rows). "
         "Record with a sensor whose rows are dated by its own clock, or is read without a pause."
     ]
+
+
+def fill_gaps(values: FloatArray) -> FloatArray:
+    """Bridge missing samples by straight lines: (n,) -> (n,)."""
+    known = np.isfinite(values)
+    t = np.arange(len(values))
+    return values if known.all() else np.interp(t, t[known], values[known])

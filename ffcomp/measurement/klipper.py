@@ -59,7 +59,6 @@ class Resonances:
     normalised: bool  # divided by (f + 0.1 Hz)
     axis: str | None = None
     position_mm: tuple[float, float, float] | None = None
-    accel_per_hz: float | None = None  # mm/s² per Hz, if the file says it
     by_axis: bool = False  # its header has psd_x and so on; else columns may be anything
 
     def power(self, name: str) -> tuple[FloatArray, FloatArray]:
@@ -125,10 +124,9 @@ def resonances_of_table(path: str, table: Table) -> Resonances:
     problems = [*table.problems, *_bad_spectra(frequency, sets)]
     if problems:
         raise MeasurementError(path, problems)
-    per_hz = float(table.column("accel_per_hz")[0]) if "accel_per_hz" in table.columns else None
     normalised = bool(shapers) or any(name.startswith("shapers:") for name in table.columns)
     by_axis = all(name.startswith("psd_") for name in names if name not in shapers)
-    return Resonances(path, frequency, sets, normalised, accel_per_hz=per_hz, by_axis=by_axis, **_named(path))
+    return Resonances(path, frequency, sets, normalised, by_axis=by_axis, **_named(path))
 
 
 def _named(path: str) -> dict[str, Any]:

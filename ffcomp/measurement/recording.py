@@ -46,7 +46,7 @@ class Run(Uniform):
     @property
     def repeat_of(self) -> str:
         """The file's stem without a trailing -1, -2, …: runs that share it repeat one experiment."""
-        return experiment_of(self.source, self.folder)
+        return f"{self.folder}/" * bool(self.folder) + re.sub(r"-\d+$", "", Path(self.source.removesuffix(".gz")).stem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,6 @@ class Recording(Run):
         groups = [members.split() for members in self.comments.get(CLOCKS, "").split(",")]
         names = {signal: members[0] for members in groups[1:] for signal in members}
         return tuple(names.get(signal, "") for signal in signals)
-
-
-def experiment_of(source: str, folder: str = "") -> str:
-    """Return the name that the repeats of one experiment share."""
-    return f"{folder}/" * bool(folder) + re.sub(r"-\d+$", "", Path(source.removesuffix(".gz")).stem)
 
 
 def read_recording(path: str | Path) -> Recording:
