@@ -42,7 +42,7 @@ from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import EFFECTOR_MASSES, TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest, RingingRequest
-from ffcomp.identification.uncertainty import Estimate, lognormal, normal
+from ffcomp.identification.uncertainty import Estimate, Mode, lognormal, normal
 from ffcomp.shapers.calibration import shaper_advice
 from models.errors import MachineFileError
 from models.file import check_text, machine_of_text, updated_text
@@ -115,11 +115,11 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
     if start.vibration.position_dependent:
         damping = float(start.vibration.modes_at(np.array(start.kinematics.centre_mm)).damping_ratios[0])
-        resonances = [Resonance(axis, lognormal(hz, READ_SD), lognormal(damping, 1.0)) for axis, hz in read.items()]
+        resonances = [(axis, Mode(lognormal(hz, READ_SD), lognormal(damping, 1.0))) for axis, hz in read.items()]
         started = starting_machine(start, resonances)
         kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
         belts = with_values(start, {key: e.value for key, e in kept.items()})
-        made = [main_mode(belts, each)[0] for each in resonances]
+        made = [main_mode(belts, axis)[0] for axis in read]
         started = replace(started, machine=belts, estimates=kept, predicted_hz=made)
     else:
         estimates = dict[str, Estimate]()
@@ -221,9 +221,7 @@ class _Task:
         axes, silent = fit_axes(self.gathered.shaken, progress)
         usable, rough = self.smooth(axes)
         left_out = [*silent, *rough]
-        main = [(axis.name, axis.modes[0]) for axis in usable]
-        resonances = [Resonance(name, mode.frequency_hz, mode.damping_ratio) for name, mode in main]
-        resonances += _of_towers(self.belts)
+        resonances = [*((axis.name, axis.modes[0]) for axis in usable), *_of_towers(self.belts)]
         started = starting_machine(self.start, resonances) if resonances and self.request.output is not None else None
         moved = [] if started is None else [float(f"{f:.4g}") for f in started.predicted_hz]
         return ResonancesFit(
@@ -258,4 +256,4 @@ def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
     if belts is None:
         return []
     frequency, damping = (float(np.mean([e.value for e in belts.modes_hz])), float(np.mean(belts.damping_ratio)))
-    return [Resonance("x", normal(frequency, belts.modes_hz[0].sd), lognormal(damping, DAMPING_SD))]
+    return [("x", Mode(normal(frequency, belts.modes_hz[0].sd), lognormal(damping, DAMPING_SD)))]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.errors import SolverError
-from ffcomp.identification.uncertainty import Estimate, lognormal
+from ffcomp.identification.uncertainty import Estimate, Mode, lognormal
 from ffcomp.measurement.frf import AXES
 from models.machine import Machine, value_of, with_values
 
@@ -25,13 +25,7 @@ RINGING = 0.3  # damping ratio: more, and a mode does not ring
 MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
 
-@dataclass(frozen=True)
-class Resonance:
-    """The main mode of one measurement, in the middle of the bed."""
-
-    axis: str  # x, y or z of the nozzle
-    frequency_hz: Estimate
-    damping_ratio: Estimate
+Resonance = tuple[str, Mode]  # the axis of the nozzle and its main mode, of one measurement in the middle of the bed
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +47,17 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Resonan
     """
     if not resonances:
         raise SolverError("None of the measurements shows a clear mode; there is nothing to tune a machine to.")
-    weights = np.array([np.hypot(r.frequency_hz.relative_sd, MODEL_SD) ** -2.0 for r in resonances])
+    weights = np.array([np.hypot(mode.frequency_hz.relative_sd, MODEL_SD) ** -2.0 for _, mode in resonances])
     stiffness = value_of(start, STIFFNESS)
 
     def misfit(scale: float) -> float:
         machine = with_values(start, {STIFFNESS: stiffness * scale})
-        off = [np.log(main_mode(machine, r)[0] / r.frequency_hz.value) for r in resonances]
+        off = [np.log(main_mode(machine, axis)[0] / mode.frequency_hz.value) for axis, mode in resonances]
         return float(weights @ np.square(off))
 
     coarse = int(np.argmin([misfit(scale) for scale in SCALES]))
     if coarse in (0, len(SCALES) - 1):
-        measured = ", ".join(f"{r.frequency_hz.value:.1f} Hz" for r in resonances)
+        measured = ", ".join(f"{mode.frequency_hz.value:.1f} Hz" for _, mode in resonances)
         raise SolverError(
             "No belt stiffness between a tenth and ten times the starting machine's brings its resonances to the "
             f"measured ones ({measured}): start from another machine."
@@ -72,20 +66,20 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Resonan
     scale = float(fine[np.argmin([misfit(each) for each in fine])])
     tuned = with_values(start, {STIFFNESS: stiffness * scale})
     # both are proportional to c + b while small
-    ratios = [r.damping_ratio.value / main_mode(tuned, r)[1] for r in resonances]
+    ratios = [mode.damping_ratio.value / main_mode(tuned, axis)[1] for axis, mode in resonances]
     factor = float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))
     dampings = {name: value_of(tuned, name) * factor for name in DAMPINGS}
     tuned = with_values(tuned, dampings)
     # twice a frequency's relative uncertainty; the ratios' scatter
-    relative = [r.damping_ratio.relative_sd for r in resonances]
+    relative = [mode.damping_ratio.relative_sd for _, mode in resonances]
     spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))
     estimates = {STIFFNESS: lognormal(stiffness * scale, 2 / float(np.sqrt(weights.sum())))}
     estimates |= {name: lognormal(value, spread) for name, value in dampings.items()}
-    return ResonanceStart(tuned, estimates, [main_mode(tuned, r)[0] for r in resonances])
+    return ResonanceStart(tuned, estimates, [main_mode(tuned, axis)[0] for axis, _ in resonances])
 
 
-def main_mode(machine: Machine, r: Resonance) -> tuple[float, float]:
+def main_mode(machine: Machine, axis: str) -> tuple[float, float]:
     """Find the mode that rings and moves the nozzle most along the axis, Hz and damping ratio."""
     modes = machine.vibration.modes_at(np.array(machine.kinematics.centre_mm))
-    most = int(np.argmax(np.abs(modes.nozzle[:, AXES.index(r.axis)]) * (modes.damping_ratios < RINGING)))
+    most = int(np.argmax(np.abs(modes.nozzle[:, AXES.index(axis)]) * (modes.damping_ratios < RINGING)))
     return float(modes.frequencies_hz[most]), float(modes.damping_ratios[most])

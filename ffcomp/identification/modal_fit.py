@@ -29,7 +29,7 @@ from scipy.linalg import block_diag
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE, Datum, Spectrum
-from ffcomp.identification.uncertainty import Estimate, lognormal, normal
+from ffcomp.identification.uncertainty import Estimate, Mode, lognormal, normal
 from ffcomp.inference.fit import FitResult, FitSettings, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Unknown
 from ffcomp.numerics.serialise import keys
@@ -57,11 +57,9 @@ APART = 0.05  # relative distance of frequencies: beyond it two files disagree
 
 
 @dataclass(frozen=True)
-class AxisMode:
+class AxisMode(Mode):
     """One mode of an axis."""
 
-    frequency_hz: Estimate
-    damping_ratio: Estimate
     share: Estimate
 
 

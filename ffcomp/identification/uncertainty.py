@@ -49,6 +49,14 @@ def lognormal(value: float, log_sd: float) -> Estimate:
 
 
 @dataclass(frozen=True)
+class Mode:
+    """A mode as it was measured."""
+
+    frequency_hz: Estimate
+    damping_ratio: Estimate
+
+
+@dataclass(frozen=True)
 class Number:
     """A number x away from where it starts: a factor of e to the x; in `unit`, where it may change its sign."""
 

@@ -35,7 +35,7 @@ from scipy.signal import lfilter
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.page.lines import STEP_MM, ReadLine
-from ffcomp.identification.uncertainty import Estimate, Number, estimates, lognormal, normal
+from ffcomp.identification.uncertainty import Estimate, Mode, Number, estimates, lognormal, normal
 from ffcomp.inference.fit import FitResult, FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown, model_error
 from ffcomp.numerics.stages import Stage
@@ -94,19 +94,11 @@ FRICTION_LAW = 0.25  # of friction's part in what looks like damping: no law of 
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceMode:
-    """A mode at a place."""
-
-    frequency_hz: Estimate
-    damping_ratio: Estimate
-
-
-@dataclass(frozen=True, slots=True)
 class PlaceModes:
     """The modes at a place."""
 
     position_mm: tuple[float, float]
-    modes: Sequence[PlaceMode]
+    modes: Sequence[Mode]
 
 
 @dataclass(frozen=True, eq=False)
@@ -697,6 +689,6 @@ def _modes(fitted: FitResult[_Page], covariance: FloatArray, second: Sequence[st
         if page.machine.vibration.position_dependent:
             spread[:count] = np.hypot(spread[:count], TOWERS)
         each = zip(here.frequencies_hz, here.damping_ratios, spread[:count], spread[count:], strict=True)
-        modes = [PlaceMode(lognormal(float(f), a), lognormal(float(d), b)) for f, d, a, b in each if d < RINGING]
+        modes = [Mode(lognormal(float(f), a), lognormal(float(d), b)) for f, d, a, b in each if d < RINGING]
         found.append(PlaceModes((x, y), modes))
     return found
