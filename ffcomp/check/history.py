@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from gcode.atomic_write import replace_atomically
 
 SCHEMA = "ffcomp-check-history/1"
 MOST, WITH_MOTION = 100, 5  # checks; the last ones whose motion is kept, besides the first
+T = TypeVar("T")
 MM = 1e3  # accelerations are kept as whole mm/s²
 
 
@@ -53,29 +54,30 @@ def moves_hash(experiments: Sequence[Mapping[str, Any]]) -> str:
 
 
 def read_history(path: Path) -> list[Check]:
-    """Read all checks, the oldest first; none where there is no file.
+    """Read all checks, the oldest first; see `read_lines`."""
+    return read_lines(path, SCHEMA, "check", _check)
+
+
+def read_lines(path: Path, schema: str, what: str, read: Callable[[dict[str, Any]], T]) -> list[T]:
+    """Read a history of lines of JSON, the oldest first; none where there is no file.
 
     Raises
     ------
     MeasurementError
         For a file that is damaged, or none of ours.
     """
-    if not path.exists():
-        return []
-    checks = []
+    entries = list[T]()
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        for line in lines:
-            checks.append(_check(json.loads(line)))
+        for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+            entry = json.loads(line)
+            if entry["schema"] != schema:
+                raise ValueError(f"its schema is {entry['schema']!r}")
+            entries.append(read(entry))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise MeasurementError(
-            str(path),
-            [
-                f"Line {len(checks) + 1} of the history is no check of ffcomp ({error}). Nothing was changed. Give "
-                "another file with --history, or move this one away: checks then start again."
-            ],
-        ) from error
-    return checks
+        rule = f"Line {len(entries) + 1} of the history is no {what} of ffcomp ({error}). Nothing was changed"
+        remedy = f"Give another file with --history, or move this one away: {what}s then start again."
+        raise MeasurementError(str(path), [f"{rule}. {remedy}"]) from error
+    return entries
 
 
 def write_history(path: Path, checks: Sequence[Check]) -> None:
@@ -111,8 +113,6 @@ def _whole(signals: SensorSignal) -> Any:
 
 
 def _check(read: dict[str, Any]) -> Check:
-    if read["schema"] != SCHEMA:
-        raise ValueError(f"its schema is {read['schema']!r}")
     values = {each.name: read[each.name] for each in fields(Check)[:-1]}
     return Check(**values, signals=tuple(map(_signal, read["experiments"])))
 

@@ -23,7 +23,6 @@ from models.machine import Machine
 
 Recorded = Recording | AxisRun
 
-ALL = tuple(CATALOGUE)
 SAME_COMMAND_MM = 0.01  # a microstep or less: what two repeats may differ by
 
 
@@ -69,7 +68,7 @@ def with_folders(recordings: Sequence[Recorded]) -> list[Recorded]:
     ]
 
 
-def problem_of(plant: Machine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
+def problem_of(plant: Machine, recordings: Sequence[Recorded], names: Sequence[str] = tuple(CATALOGUE)) -> Problem:
     """Return the problem of a machine and its recordings; `names` : the effects that are looked for."""
     if is_one_axis(plant):
         return AxisProblem(plant, [each for each in recordings if isinstance(each, AxisRun)], names)

@@ -27,6 +27,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ffcomp.check.history import read_lines
 from ffcomp.diagnosis.candidates import IN_FILE
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, deviations, estimation_problem, fit
 from ffcomp.diagnosis.held_out import groups, hold_out
@@ -186,19 +187,12 @@ def _check(request: UpdateRequest, machine: Machine, data: Sequence[str]) -> Non
 
 def read_history(path: Path) -> list[dict[str, Any]]:
     """Read all updates, the oldest first; none where there is no file."""
-    if not path.exists():
-        return []
-    try:
-        entries = [dict(json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-        for each in entries:
-            _ = set(each["data"]), each["date"], each["written_sha256"], _deviations(each)
-            if each["schema"] != SCHEMA:
-                raise ValueError(f"its lines are not {SCHEMA}")
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        wrong = f"a line has no {error}" if isinstance(error, KeyError) else str(error)
-        remedy = "Give another with --history, or move this one away."
-        raise MeasurementError(str(path), [f"This is no history of updates ({wrong}). {remedy}"]) from error
-    return entries
+
+    def checked(entry: dict[str, Any]) -> dict[str, Any]:
+        _ = set(entry["data"]), entry["date"], entry["written_sha256"], _deviations(entry)
+        return entry
+
+    return read_lines(path, SCHEMA, "update", checked)
 
 
 def _deviations(entry: Mapping[str, Any]) -> dict[str, float]:

@@ -107,12 +107,9 @@ def compare_belts(machine: Machine, tests: Sequence[BeltTest]) -> BeltComparison
 class _Problem(EstimationProblem):
     """θ: ln f, ln r, ln ζ₁, ln ζ₂, ln of the stiffness of all but the last belt, then ln g and ln c of each test."""
 
-    def __init__(
-        self, kind: str, names: tuple[str, ...], rows: FloatArray, free_ratio: bool, tests: tuple[BeltTest, ...]
-    ) -> None:
+    def __init__(self, kind: str, names: tuple[str, ...], rows: FloatArray, tests: tuple[BeltTest, ...]) -> None:
         self.kind, self.names, self.tests = kind, names, tests
-        self.rows = rows  # (m, 2) motion of each motor or carriage by x and y
-        self.free_ratio = free_ratio  # of the masses along y and x
+        self.rows, self.free_ratio = rows, kind == "belt"  # see `BeltComparison`; of the masses along y and x
         (lowest, highest), (least, most) = np.log(FREQUENCY_LIMITS), np.log(DAMPING_LIMITS)
         damping = Unknown("ln damping", float(np.log(START_DAMPING)), LOG_DAMPING_SD, float(least), float(most), STEP)
         self.unknowns = [
@@ -181,7 +178,7 @@ def _problem(machine: Machine, tests: Sequence[BeltTest]) -> _Problem:
             axes = " and ".join(f"AXIS={direction_name(other)}" for other in towards)
             rule = f"There is no test along {kind} {name}, so there is nothing to compare"
             raise MeasurementError(listed, [f"{rule}. Run TEST_RESONANCES OUTPUT=raw_data with {axes}."])
-    return _Problem(kind, names, rows, not deltas, tuple(tests))
+    return _Problem(kind, names, rows, tuple(tests))
 
 
 def _starts(problem: _Problem) -> list[FloatArray]:

@@ -79,12 +79,9 @@ class PaperIdentification:
     estimates: Mapping[str, Estimate]  # each from the step that determines it best
     steps: Sequence[Step]
 
-    def __getitem__(self, title: str) -> Step:
-        return next(step for step in self.steps if step.title == title)
-
 
 def identify_as_paper(
-    start: Machine, responses: Sequence[FrequencyResponse], total_mass_kg: float, total_sd_kg: float = 0.0
+    start: Machine, responses: Sequence[FrequencyResponse], total_mass_kg: float, total_sd_kg: float
 ) -> PaperIdentification:
     """Run every step of the paper, from responses of all four setups.
 

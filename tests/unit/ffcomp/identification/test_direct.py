@@ -41,7 +41,7 @@ def test_step_by_step_within_2_percent_and_dampings_within_10() -> None:
     for name in UNKNOWNS:
         close = 0.10 if "damping" in name else 0.02
         assert value_of(found.machine, name) == pytest.approx(value_of(TRUTH, name), rel=close), name
-    assert found["carriage"].consistency < 3.0 and tuple(found.estimates) == UNKNOWNS
+    assert found.steps[0].consistency < 3.0 and tuple(found.estimates) == UNKNOWNS
 
 
 def test_direct_intervals_cover_the_truth() -> None:
