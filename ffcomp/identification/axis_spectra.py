@@ -15,7 +15,7 @@ import numpy as np
 
 from ffcomp.inference.problem import Observation
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
-from ffcomp.measurement.modal import WindowedPower, single_modes, slopes_of_modes
+from ffcomp.measurement.modal import WindowedPower, single_modes
 from ffcomp.measurement.swept import SweptBand, cut_off
 from models.arrays import ComplexArray, FloatArray, IntArray
 
@@ -32,15 +32,6 @@ WRONG_SCALE = 0.15  # of a sensor's gain
 def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Evaluate H at any frequencies; modes (m, 3), columns frequency Hz, damping ratio, share."""
     return np.asarray(np.tensordot(modes[:, 2], single_modes(modes[:, 0], modes[:, 1], frequency_hz), axes=1))
-
-
-def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
-    """Differentiate H by ln f and ln ζ of each mode, then by the first's share if there are two: (p, …)."""
-    by_shape = slopes_of_modes(modes[:, 0], modes[:, 1], modes[:, 2], frequency_hz)
-    if len(modes) == 1:
-        return by_shape
-    first, second = single_modes(modes[:, 0], modes[:, 1], frequency_hz)
-    return np.concatenate([by_shape, (first - second)[None]])
 
 
 def blocks_of(frequency_hz: FloatArray) -> IntArray:
@@ -126,15 +117,6 @@ class Spectrum:
         """Predict the logarithms: (k,)."""
         return np.log(self.model(modes, nuisance))
 
-    def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Differentiate the prediction: (k, p)."""
-        fine = self.lines.fine_hz
-        response, slopes = closed_form(modes, fine), closed_form_slopes(modes, fine)
-        gain, floor = np.exp(nuisance)
-        power, by_modes = gain * self.lines.power(response), gain * self.lines.slopes(response, slopes)
-        columns = np.stack([*by_modes, power, np.full_like(power, floor)], axis=1)
-        return np.asarray(columns / (power + floor)[:, None])
-
     def remarks(self, nuisance: FloatArray) -> list[str]:
         """Pass on the remark made while reading."""
         return [self.remark] if self.remark else []
@@ -209,13 +191,6 @@ class Response(FrequencyResponse):
         """Predict real, then imaginary parts: (2 k,)."""
         h = self.model(modes, nuisance)
         return np.concatenate([h.real, h.imag])
-
-    def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Differentiate the prediction: (2 k, p)."""
-        model, h = self.model(modes, nuisance), closed_form(modes, self.frequency_hz)
-        by_modes = model / h * closed_form_slopes(modes, self.frequency_hz)
-        columns = np.stack([*by_modes, model / nuisance[0], -1e-3 * self.s * model], axis=1)
-        return np.concatenate([columns.real, columns.imag])
 
     def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
         """Say nothing: phase and gain show where the mode lies."""

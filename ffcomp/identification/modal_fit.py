@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import COARSE, Datum, Spectrum
@@ -137,12 +136,6 @@ class _Problem(EstimationProblem):
             modes, nuisances = self.modes(theta), self.nuisances(theta)
             with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of a step too far
                 yield np.concatenate([d.rows(modes, each) for d, each in zip(self.data, nuisances, strict=True)])
-
-    def slopes(self, values: FloatArray) -> FloatArray:
-        modes, nuisances = self.modes(values), self.nuisances(values)
-        each = [datum.slopes(modes, own) for datum, own in zip(self.data, nuisances, strict=True)]
-        of_modes, of_data = zip(*(np.split(slopes, [self.of_modes], axis=1) for slopes in each), strict=True)
-        return np.hstack([np.vstack(of_modes), block_diag(*of_data)])
 
 
 _Fit = FitResult[_Problem]

@@ -4,9 +4,9 @@
 
 A step solves the quadratic model inside the bounds; one that does not lower the cost is tried again with several
 dampings at once (Levenberg 1944, Marquardt 1963), and bent by what it missed, along the valley of confounded unknowns
-(geodesic acceleration: Transtrum & Sethna, arXiv:1201.5885). Derivatives are exact, or differences, which may be kept
-from step to step and corrected by secants (Broyden, Math. Comp. 19, 1965). A fit has converged where the best step
-would gain less than `FitSettings.gain` of χ²: the optimum is then within √gain standard deviations in every direction.
+(geodesic acceleration: Transtrum & Sethna, arXiv:1201.5885). Derivatives are differences, which may be kept from step
+to step and corrected by secants (Broyden, Math. Comp. 19, 1965). A fit has converged where the best step would gain
+less than `FitSettings.gain` of χ²: the optimum is then within √gain standard deviations in every direction.
 """
 
 from __future__ import annotations
@@ -312,10 +312,7 @@ class _Run(Generic[P]):
         return [replace(here, values=x, residual=r) for x, r in zip(trials, residuals, strict=True)]
 
     def renewed(self, here: FitResult[P], columns: Sequence[int] | None = None, central: bool = False) -> FitResult[P]:
-        """Take derivatives again, by some unknowns or all: in closed form, or by differences."""
-        exact = self.problem.slopes(here.values)
-        if exact is not None:
-            return replace(here, jacobian=np.nan_to_num(exact / here.sd[:, None]))
+        """Take derivatives again, by some unknowns or all."""
         columns = range(len(here.values)) if columns is None else columns
         if not len(columns):
             return here

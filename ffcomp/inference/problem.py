@@ -82,10 +82,6 @@ class EstimationProblem(ABC):
         Rows that are not finite mark values that cannot be simulated.
         """
 
-    def slopes(self, values: FloatArray) -> FloatArray | None:
-        """Differentiate the simulation in closed form, (rows, p); None: by differences."""
-        return None
-
     def scatter(self, residual: FloatArray) -> float:
         """Return the scatter of χ² with a residual (rows,), in times that of noise: a gain counts against it."""
         return max(1.0, float(residual @ residual) / len(residual))

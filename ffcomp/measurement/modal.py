@@ -29,18 +29,6 @@ def single_modes(frequency_hz: FloatArray, damping_ratio: FloatArray, at_hz: Flo
     return np.asarray(1 / (1 - ratio**2 + 2j * damping_ratio[expand] * ratio))
 
 
-def slopes_of_modes(
-    frequency_hz: FloatArray, damping_ratio: FloatArray, amplitude: FloatArray, at_hz: FloatArray
-) -> ComplexArray:
-    """Differentiate H by ln f and ln ζ of each mode in turn, in closed form: (2 m, …)."""
-    expand = (slice(None), *[None] * at_hz.ndim)
-    ratio = at_hz / frequency_hz[expand]
-    damped = 2j * damping_ratio[expand] * ratio
-    steep = amplitude[expand] / (1 - ratio**2 + damped) ** 2
-    by_mode = np.stack([-steep * (2 * ratio**2 - damped), -steep * damped], axis=1)
-    return np.asarray(by_mode.reshape(-1, *at_hz.shape))
-
-
 class WindowedPower:
     """What the lines of a spectrum (k,) show of a response, through a Kaiser window (β = 6) of one line's width."""
 
@@ -52,10 +40,6 @@ class WindowedPower:
     def power(self, response: ComplexArray) -> FloatArray:
         """Return S, (k,), of a response (k, w) at `fine_hz`."""
         return np.asarray((self.excitation * np.abs(response) ** 2) @ self._window)
-
-    def slopes(self, response: ComplexArray, derivatives: ComplexArray) -> FloatArray:
-        """Differentiate S, (p, k), of a response (k, w) with derivatives (p, k, w)."""
-        return np.asarray((2 * self.excitation * (response.conj() * derivatives).real) @ self._window)
 
 
 def window_kernel() -> tuple[FloatArray, FloatArray]:
