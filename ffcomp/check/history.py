@@ -100,7 +100,6 @@ def _entry(check: Check, with_motion: bool) -> dict[str, Any]:
             "name": each.name,
             "noise_m_per_s2": np.round(each.noise, 5).tolist(),
             "clock_sd_s": round(each.clock_sd_s, 7),
-            "repeats": each.repeats,
             "acceleration_mm_per_s2": _whole(each).T.tolist(),
         }
         for each in kept
@@ -122,4 +121,4 @@ def _signal(read: dict[str, Any]) -> SensorSignal:
     noise = np.array(read["noise_m_per_s2"], dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 3 or noise.shape != (3,) or not np.isfinite(rows).all() or noise.min() <= 0:
         raise ValueError("an acceleration is missing")
-    return SensorSignal(str(read["name"]), rows, noise, float(read["clock_sd_s"]), int(read["repeats"]))
+    return SensorSignal(str(read["name"]), rows, noise, float(read["clock_sd_s"]))

@@ -38,7 +38,6 @@ class SensorSignal:
     acceleration: FloatArray  # (n, 3) m/s² at `rows_of` the experiment, the mean of its repeats
     noise: FloatArray  # (3,) m/s², standard deviations of that mean
     clock_sd_s: float  # all of it may be early or late by so much
-    repeats: int
 
     @property
     def size(self) -> float:
@@ -87,10 +86,8 @@ def _of_repeats(repeats: Sequence[Joined], rows: FloatArray) -> SensorSignal:
         t, signal = filtered[0]
         noise = np.sqrt(np.mean(signal[t < -REST_S] ** 2, axis=0))
     clock = float(np.sqrt(np.mean([one.clock.offset_sd_s**2 for one in repeats])))
-    floor = LEAST_NOISE_M_PER_S2
-    return SensorSignal(
-        repeats[0].experiment, each.mean(axis=0), np.maximum(noise, floor), max(clock, SURE_CLOCK_S), len(repeats)
-    )
+    noise = np.maximum(noise, LEAST_NOISE_M_PER_S2)
+    return SensorSignal(repeats[0].experiment, each.mean(axis=0), noise, max(clock, SURE_CLOCK_S))
 
 
 def _filtered(each: Joined) -> tuple[FloatArray, FloatArray]:

@@ -25,7 +25,7 @@ from ffcomp.identification.axes import fit_axes, identify_axes
 from ffcomp.identification.axis_fit import fit_axis
 from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.direct import identify
-from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, main_mode, starting_machine
+from ffcomp.identification.from_resonances import ResonanceStart, belts_alone, starting_machine
 from ffcomp.identification.load import Gathered, gather
 from ffcomp.identification.machine_fit import (
     AxesFit,
@@ -47,7 +47,7 @@ from ffcomp.shapers.calibration import shaper_advice
 from models.errors import MachineFileError
 from models.file import check_text, machine_of_text, updated_text
 from models.kinds import is_one_axis
-from models.machine import Machine, value_of, with_values
+from models.machine import Machine, value_of
 
 USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
 ROUGH = 0.2  # of the measurement: modes that leave more unexplained are only written on request
@@ -114,13 +114,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     read = {axis: hz for axis, hz in (("x", request.x_hz), ("y", request.y_hz)) if hz is not None}
     origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
     if start.vibration.position_dependent:
-        damping = float(start.vibration.modes_at(np.array(start.kinematics.centre_mm)).damping_ratios[0])
-        resonances = [(axis, Mode(lognormal(hz, READ_SD), lognormal(damping, 1.0))) for axis, hz in read.items()]
-        started = starting_machine(start, resonances)
-        kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
-        belts = with_values(start, {key: e.value for key, e in kept.items()})
-        made = [main_mode(belts, axis)[0] for axis in read]
-        started = replace(started, machine=belts, estimates=kept, predicted_hz=made)
+        started = belts_alone(start, [(axis, lognormal(hz, READ_SD)) for axis, hz in read.items()])
     else:
         estimates = dict[str, Estimate]()
         for axis, hz in read.items():
@@ -130,7 +124,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
             shares = [value_of(start, key.replace("frequency_hz", "share")) for key in keys]
             main = value_of(start, keys[int(np.argmax(shares))])
             estimates |= {key: lognormal(value_of(start, key) * hz / main, READ_SD) for key in keys}
-        started = ResonanceStart(start, estimates, list(read.values()))
+        started = ResonanceStart(estimates, list(read.values()))
     text = origin.text_of(started.estimates, "ringing", read_hz=read)
     advice = ["Damping is unchanged: waves on a wall show how fast it rings, and hardly how long."]
     off = {axis: made / hz - 1 for (axis, hz), made in zip(read.items(), started.predicted_hz, strict=True)}
@@ -251,7 +245,7 @@ def _too_rough(axis: AxisFit) -> str:
     )
 
 
-def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
+def _of_towers(belts: BeltComparison | None) -> list[tuple[str, Mode]]:
     """Return the mean resonance of the head on all towers; at the centre of a delta all directions are alike."""
     if belts is None:
         return []

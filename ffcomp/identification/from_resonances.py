@@ -25,57 +25,62 @@ RINGING = 0.3  # damping ratio: more, and a mode does not ring
 MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
 
-Resonance = tuple[str, Mode]  # the axis of the nozzle and its main mode, of one measurement in the middle of the bed
-
-
 @dataclass(frozen=True, eq=False)
 class ResonanceStart:
-    """A starting machine scaled to resonances."""
+    """Numbers of a machine that are scaled to resonances."""
 
-    machine: Machine
     estimates: dict[str, Estimate]
-    predicted_hz: list[float]  # of each resonance, by the tuned machine
+    predicted_hz: list[float]  # of each resonance, with these numbers
 
 
-def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> ResonanceStart:
-    """Scale the starting machine until its main modes lie at the resonances.
+def belts_alone(start: Machine, read: Sequence[tuple[str, Estimate]]) -> ResonanceStart:
+    """Scale the belts' stiffness until the main mode along each axis lies at its frequency in the middle of the bed.
 
     Raises
     ------
     SolverError
         If no stiffness within a factor of ten brings the model's resonances near.
     """
-    if not resonances:
-        raise SolverError("None of the measurements shows a clear mode; there is nothing to tune a machine to.")
-    weights = np.array([np.hypot(mode.frequency_hz.relative_sd, MODEL_SD) ** -2.0 for _, mode in resonances])
+    weights = np.array([np.hypot(hz.relative_sd, MODEL_SD) ** -2.0 for _, hz in read])
     stiffness = value_of(start, STIFFNESS)
 
-    def misfit(scale: float) -> float:
+    def made(scale: float) -> list[float]:
         machine = with_values(start, {STIFFNESS: stiffness * scale})
-        off = [np.log(main_mode(machine, axis)[0] / mode.frequency_hz.value) for axis, mode in resonances]
-        return float(weights @ np.square(off))
+        return [main_mode(machine, axis)[0] for axis, _ in read]
+
+    def misfit(scale: float) -> float:
+        return float(weights @ np.square(np.log(made(scale)) - np.log([hz.value for _, hz in read])))
 
     coarse = int(np.argmin([misfit(scale) for scale in SCALES]))
     if coarse in (0, len(SCALES) - 1):
-        measured = ", ".join(f"{mode.frequency_hz.value:.1f} Hz" for _, mode in resonances)
+        measured = ", ".join(f"{hz.value:.1f} Hz" for _, hz in read)
         raise SolverError(
             "No belt stiffness between a tenth and ten times the starting machine's brings its resonances to the "
             f"measured ones ({measured}): start from another machine."
         )
-    fine = np.geomspace(float(SCALES[coarse - 1]), float(SCALES[coarse + 1]), 41)
-    scale = float(fine[np.argmin([misfit(each) for each in fine])])
-    tuned = with_values(start, {STIFFNESS: stiffness * scale})
+    scale = min(np.geomspace(float(SCALES[coarse - 1]), float(SCALES[coarse + 1]), 41).tolist(), key=misfit)
+    spread = 2 / float(np.sqrt(weights.sum()))  # twice a frequency's relative uncertainty
+    return ResonanceStart({STIFFNESS: lognormal(stiffness * scale, spread)}, made(scale))
+
+
+def starting_machine(start: Machine, resonances: Sequence[tuple[str, Mode]]) -> ResonanceStart:
+    """Scale the belts' stiffness, then both dampings, until the main modes are as measured in the middle of the bed.
+
+    Raises
+    ------
+    SolverError
+        As `belts_alone`.
+    """
+    belts = belts_alone(start, [(axis, mode.frequency_hz) for axis, mode in resonances]).estimates
+    tuned = with_values(start, {key: e.value for key, e in belts.items()})
     # both are proportional to c + b while small
     ratios = [mode.damping_ratio.value / main_mode(tuned, axis)[1] for axis, mode in resonances]
     factor = float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))
-    dampings = {name: value_of(tuned, name) * factor for name in DAMPINGS}
-    tuned = with_values(tuned, dampings)
-    # twice a frequency's relative uncertainty; the ratios' scatter
     relative = [mode.damping_ratio.relative_sd for _, mode in resonances]
-    spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))
-    estimates = {STIFFNESS: lognormal(stiffness * scale, 2 / float(np.sqrt(weights.sum())))}
-    estimates |= {name: lognormal(value, spread) for name, value in dampings.items()}
-    return ResonanceStart(tuned, estimates, [main_mode(tuned, axis)[0] for axis, _ in resonances])
+    spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))  # and the ratios' scatter
+    estimates = belts | {name: lognormal(value_of(tuned, name) * factor, spread) for name in DAMPINGS}
+    tuned = with_values(tuned, {key: e.value for key, e in estimates.items()})
+    return ResonanceStart(estimates, [main_mode(tuned, axis)[0] for axis, _ in resonances])
 
 
 def main_mode(machine: Machine, axis: str) -> tuple[float, float]:

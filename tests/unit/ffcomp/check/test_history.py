@@ -19,7 +19,7 @@ AXES = "x,y,z"
 
 
 def light(date: str, plan: str = "p", seed: int = 0) -> Check:
-    felt = SensorSignal("a", np.round(np.random.default_rng(seed).normal(size=(20, 3)), 3), np.full(3, 0.1), 1e-4, 2)
+    felt = SensorSignal("a", np.round(np.random.default_rng(seed).normal(size=(20, 3)), 3), np.full(3, 0.1), 1e-4)
     return Check(date, plan, "s", AXES, "same", "As before.", 0.1, 0.01, 0.01, (felt,))
 
 
