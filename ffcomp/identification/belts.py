@@ -45,12 +45,14 @@ AS_IT_IS, SEARCHED, REFINED = FitSettings(steps=0), FitSettings(steps=15, gain=1
 STEP = 1e-5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class ExplainedTest:
-    """How well a test is explained."""
+    """A test, and how well it is explained."""
 
-    file: str
-    axis: str  # the direction that was excited
+    json_keys: ClassVar = keys(file="test.spectrum.source", axis="test.axis", model_error="model_error")
+
+    test: BeltTest
+    fitted: FloatArray  # (k,) in the units of the measurement
     model_error: float
 
 
@@ -58,7 +60,7 @@ class ExplainedTest:
 class BeltComparison:
     """How stiff each belt is against the mean of the others, and the resonances of the head on all of them."""
 
-    json_keys: ClassVar = keys("kind", "sentence", "relative_stiffness", "modes_hz", "damping_ratio", tests="explained")
+    json_keys: ClassVar = keys("kind", "sentence", "relative_stiffness", "modes_hz", "damping_ratio", "tests")
 
     kind: str  # "belt" or "tower"
     rows: FloatArray  # (m, 2) motion of each motor or carriage by x and y
@@ -66,18 +68,8 @@ class BeltComparison:
     relative_stiffness: Mapping[str, Estimate]
     modes_hz: tuple[Estimate, Estimate]  # the lower one first
     damping_ratio: tuple[float, float]
-    tests: tuple[BeltTest, ...]
-    fitted: tuple[FloatArray, ...]  # (k,) of each test, in the units of the measurement
-    errors: tuple[float, ...]  # of each test, the model's own
+    tests: Sequence[ExplainedTest]
     sentence: str
-
-    @property
-    def explained(self) -> list[ExplainedTest]:
-        """How well each test is explained."""
-        return [
-            ExplainedTest(test.spectrum.source, test.axis, error)
-            for test, error in zip(self.tests, self.errors, strict=True)
-        ]
 
     def nearest(self, test: BeltTest) -> str:
         """Return the name of the belt that a test is along."""
@@ -197,11 +189,10 @@ def _starts(problem: _Problem) -> list[FloatArray]:
 
 
 def _result(problem: _Problem, found: FitResult[_Problem]) -> BeltComparison:
-    tests, theta, covariance = problem.tests, found.values, found.covariance
-    errors = found.errors[: len(tests)]
+    theta, covariance, errors = found.values, found.covariance, found.errors.tolist()
     frequency, _ = problem.modes(theta)
     damping = np.exp(theta[2:4])
-    _check_resonance(problem, float(frequency.mean()), float(damping.mean()), errors)
+    _check_resonance(problem, float(frequency.mean()), float(damping.mean()), max(errors))
     stiffness = {name: _relative(problem, theta, covariance, i) for i, name in enumerate(problem.names)}
     sd = [float(np.sqrt(covariance[0, 0])) * f for f in frequency]
     return BeltComparison(
@@ -210,14 +201,12 @@ def _result(problem: _Problem, found: FitResult[_Problem]) -> BeltComparison:
         relative_stiffness=stiffness,
         modes_hz=(normal(float(frequency[0]), sd[0]), normal(float(frequency[1]), sd[1])),
         damping_ratio=(float(damping[0]), float(damping[1])),
-        tests=tests,
-        fitted=tuple(problem.model(n, theta) for n in range(len(tests))),
-        errors=tuple(float(e) for e in errors),
+        tests=[ExplainedTest(test, problem.model(n, theta), errors[n]) for n, test in enumerate(problem.tests)],
         sentence=_sentence(problem, stiffness),
     )
 
 
-def _check_resonance(problem: _Problem, frequency: float, damping: float, errors: FloatArray) -> None:
+def _check_resonance(problem: _Problem, frequency: float, damping: float, error: float) -> None:
     sources = ", ".join(test.spectrum.source for test in problem.tests)
     for test in problem.tests:
         low, high = test.spectrum.frequency_hz[[0, -1]]
@@ -225,10 +214,8 @@ def _check_resonance(problem: _Problem, frequency: float, damping: float, errors
         if remedy or not low < frequency < high:
             rule = f"The {problem.kind}s cannot be compared: no resonance lies between {low:.0f} and {high:.0f} Hz."
             raise MeasurementError(sources, [f"{rule} {remedy or 'Test them again with a harder excitation.'}"])
-    if errors.max() > POOR:
-        rule = (
-            f"The {problem.kind}s cannot be compared: two modes describe the tests to {100 * errors.max():.0f} % only"
-        )
+    if error > POOR:
+        rule = f"The {problem.kind}s cannot be compared: two modes describe the tests to {100 * error:.0f} % only"
         raise MeasurementError(sources, [f"{rule}. Fasten what rattles, and the sensor, and test them again."])
 
 

@@ -269,8 +269,8 @@ def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
         interval = f"90 %: {100 * e.low:+.0f} to {100 * e.high:+.0f} %"
         yield what, f"{100 * e.value:+.1f} % ({interval}) against the mean of the others"
     yield "Head", f"resonates at {' and '.join(f'{e} Hz' for e in belts.modes_hz)}"
-    for each in belts.explained:
-        yield each.file, f"explained to {100 * each.model_error:.1f} %"
+    for each in belts.tests:
+        yield each.test.spectrum.source, f"explained to {100 * each.model_error:.1f} %"
 
 
 def hash_of(path: Path) -> str:

@@ -211,7 +211,7 @@ def belts_figure(belts: BeltComparison, name: str) -> Figure:
 
 def belts_panel(axes: Axes, belts: BeltComparison) -> None:
     """Draw each test's power, of any scale: measured, and by the fitted model; its peak is marked."""
-    for number, (test, model) in enumerate(zip(belts.tests, belts.fitted, strict=True)):
+    for number, (test, model) in enumerate((each.test, each.fitted) for each in belts.tests):
         colour = COLOURS[number % len(COLOURS)]
         f, scale = test.spectrum.frequency_hz, 1.0 / float(model.max())
         axes.plot(f, scale * test.spectrum.value, color=colour, linewidth=1.8, label=_label(belts, number))
@@ -222,7 +222,7 @@ def belts_panel(axes: Axes, belts: BeltComparison) -> None:
     axes.set_xlabel("frequency, Hz")
     axes.set_ylabel("power of the acceleration, of its largest")
     axes.set_ylim(bottom=0.0)
-    highest = max(float(test.spectrum.frequency_hz[-1]) for test in belts.tests)
+    highest = max(float(each.test.spectrum.frequency_hz[-1]) for each in belts.tests)
     axes.set_xlim(0.0, min(highest, 3.0 * belts.modes_hz[1].value))
     axes.plot([], [], color=SOFT, linewidth=1.0, linestyle=":", label="fitted: head on its belts")
     axes.legend(fontsize=8, frameon=False)
@@ -230,7 +230,7 @@ def belts_panel(axes: Axes, belts: BeltComparison) -> None:
 
 
 def _label(belts: BeltComparison, number: int) -> str:
-    test = belts.tests[number]
+    test = belts.tests[number].test
     peak = f"peak at {test.spectrum.frequency_hz[int(np.argmax(test.spectrum.value))]:.1f} Hz"
     along = f"axis={test.axis}"
     return f"{along if belts.kind == 'belt' else f'tower {belts.nearest(test)} ({along})'}, {peak}"
