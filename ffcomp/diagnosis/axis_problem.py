@@ -39,6 +39,7 @@ from ffcomp.identification.axis_shots import (
     windows,
 )
 from ffcomp.measurement.axis_run import AxisRun
+from ffcomp.record.clock import peaks
 from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.kinds import driven_axis
@@ -347,7 +348,7 @@ def likely_pitches(machine: Machine, shots: Sequence[Shots], band_hz: tuple[floa
     first, last = 2.0 / travel, 2.0 * band_hz[1] / speed  # passed at twice the highest frequency compared
     count = min(max(int((last - first) * travel * A_TURN), 0), MOST_TRIES)
     turns = first + np.arange(count) / (A_TURN * travel)
-    return [float(1.0 / turns[i]) for i in _peaks(_gains(parts, turns), most)]
+    return [float(1.0 / turns[i]) for i in peaks(_gains(parts, turns), A_TURN, most)]
 
 
 def pitches_of_force(machine: Machine, shots: Sequence[Shots], most: int) -> list[float]:
@@ -450,14 +451,3 @@ def _spectra(wave: ComplexArray, lines: slice) -> ComplexArray:
     whole = np.fft.fft(wave, 2 * len(wave))
     here, mirrored = whole[lines], np.conj(np.roll(whole[::-1], 1)[lines])
     return np.stack([(here + mirrored) / 2, (here - mirrored) / 2j])
-
-
-def _peaks(gains: FloatArray, most: int) -> list[int]:
-    """Return the highest points that are not on the slope of a higher one."""
-    peaks: list[int] = []
-    for i in np.argsort(-gains).tolist():
-        if all(abs(i - j) > A_TURN for j in peaks):
-            peaks.append(i)
-        if len(peaks) == most:
-            break
-    return peaks

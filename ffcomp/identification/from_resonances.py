@@ -16,12 +16,12 @@ import numpy as np
 from ffcomp.errors import SolverError
 from ffcomp.identification.uncertainty import Estimate, Mode, lognormal
 from ffcomp.measurement.frf import AXES
+from ffcomp.record.page import RINGING
 from models.machine import Machine, value_of, with_values
 
 STIFFNESS = "carriage.belt_stiffness_n_per_m"
 DAMPINGS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")
 SCALES = np.geomspace(0.1, 10.0, 81)  # of the stiffness, searched before it is refined
-RINGING = 0.3  # damping ratio: more, and a mode does not ring
 MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
 

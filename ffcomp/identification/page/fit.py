@@ -39,6 +39,7 @@ from ffcomp.identification.uncertainty import Estimate, Mode, Number, estimates,
 from ffcomp.inference.fit import FitResult, FitSettings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown, model_error
 from ffcomp.numerics.stages import Stage
+from ffcomp.record.page import RINGING
 from ffcomp.record.plan import Experiment, Motion
 from models.arrays import FloatArray
 from models.compiled import kernel
@@ -665,9 +666,6 @@ def _covariance(result: FitResult[_Page]) -> FloatArray:
             ]
             covariance[i, i] += (FRICTION_LAW * sum(alike)) ** 2
     return covariance
-
-
-RINGING = 0.3  # damping ratio: more, and a mode does not ring
 
 
 def _modes(fitted: FitResult[_Page], covariance: FloatArray, second: Sequence[str]) -> list[PlaceModes]:
