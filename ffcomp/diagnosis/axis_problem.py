@@ -395,8 +395,7 @@ def _tries(axis: DrivenAxis, places: Sequence[FloatArray]) -> FloatArray:
     if axis.quantities.turns:
         turn = 2e3 * np.pi
         return np.arange(max(int(np.ceil(2 * turn / max(travel, 1e-9))), 1), 401) / turn  # to 400 lines a turn
-    count = min(int((200 - 2) * A_TURN), MOST_TRIES)
-    return np.asarray((2 + np.arange(count) / A_TURN) / max(travel, 1e-9))
+    return np.arange(2 * A_TURN, 200 * A_TURN) / A_TURN / max(travel, 1e-9)
 
 
 def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part | None:

@@ -427,13 +427,13 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         if key == WHOLE:
             table[WHOLE] = value
         elif index is None:
-            table[key] = _machine_value(effect.by_name[key], value)
+            table[key] = file_value(effect.by_name[key], value)
         else:
             each = effect.by_name[key]
-            none = _machine_value(each, 0.0, True) if each.default is None else each.default
+            none = file_value(each, 0.0, True) if each.default is None else each.default
             row = table.setdefault(key, [] if each.size == "lines" else [none, none, none])
             row += [none] * (int(index) + 1 - len(row))
-            row[int(index)] = _machine_value(each, value, True)
+            row[int(index)] = file_value(each, value, True)
     acting = {name: table for name, table in tables.items() if _acts(CATALOGUE[name], table)}
     return {name: {key: x for key, x in table.items() if key != WHOLE} for name, table in acting.items()}
 
@@ -444,7 +444,8 @@ def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
     return any(np.any(np.asarray(table[a.name]) != a.neutral) for a in effect.amplitudes if a.name in table)
 
 
-def _machine_value(parameter: EffectParameter, value: float, of_three: bool = False) -> Any:
+def file_value(parameter: EffectParameter, value: float, of_three: bool = False) -> Any:
+    """Return a fitted number, an angle or a `value ** power`, as the machine file states it."""
     if parameter.logarithmic:
         return math.exp(value)
     if parameter.size == "direction":

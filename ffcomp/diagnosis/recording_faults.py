@@ -89,23 +89,15 @@ def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor 
 
     Not where the last of the fits explains most of its excess: there an effect acts on its axis.
     """
-    name, share = max((_share(estimation, fit) for fit in fits), key=lambda each: each[1], default=("", 0.0))
-    if share <= ONE_SIGNAL:
-        return None
-    first, last = (_excess(estimation, fit)[name] for fit in (fits[0], fits[-1]))
-    return BadSensor(name, "holds the gap", share) if last > (1 - estimation.settings.dominant) * first else None
-
-
-def _excess(estimation: EstimationProblem, fit: Fit) -> dict[str, float]:
-    """Return by how much |r|² of each signal stands above noise."""
     whiten = estimation.whiten
     names = sorted({s for o in whiten.observations for s in o.signals})
-    return {name: float(np.sum(fit.residual[whiten.of_signal(name)] ** 2 - 1)) for name in names}
-
-
-def _share(estimation: EstimationProblem, fit: Fit) -> tuple[str, float]:
-    excess = _excess(estimation, fit)
-    total = sum(max(x, 0.0) for x in excess.values())
-    name = max(excess, key=lambda each: excess[each])
-    stands_out = total > estimation.tolerance * len(fit.residual)  # by chance alone, one signal has all of a trace
-    return name, (excess[name] / total if stands_out and len(excess) > 2 else 0.0)
+    if not fits or len(names) < 3:
+        return None
+    parts = [whiten.of_signal(name) for name in names]
+    excess = np.array([[float(np.sum(fit.residual[part] ** 2 - 1)) for part in parts] for fit in fits])
+    total, least = np.maximum(excess, 0.0).sum(axis=1), estimation.tolerance * len(estimation.measured)
+    # by chance alone, one signal has all of a trace
+    share = np.where(total > least, excess.max(axis=1) / np.maximum(total, 1e-300), 0.0)
+    k = int(excess[int(share.argmax())].argmax())
+    stays = excess[-1, k] > (1 - estimation.settings.dominant) * excess[0, k]
+    return BadSensor(names[k], "holds the gap", float(share.max())) if share.max() > ONE_SIGNAL and stays else None

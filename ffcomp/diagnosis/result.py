@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ffcomp.diagnosis.acceptance import undetermined
-from ffcomp.diagnosis.candidates import IN_FILE, WHOLE, effect_tables
+from ffcomp.diagnosis.candidates import IN_FILE, effect_tables, file_value
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.next_experiment import Separation
@@ -234,10 +233,9 @@ class DiagnosisResult:
     def _interval(self, effect: str, key: str, table: Any) -> Interval:
         """Return the interval of one key; `table` : its value in the machine file."""
         name = f"effects.{effect}.{key}"
-        if CATALOGUE[effect].by_name[key].size == "direction":
+        if (shape := CATALOGUE[effect].by_name[key]).size == "direction":
             angle = self.intervals[name]
-            ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (angle.low, angle.high)]
-            return Interval(table, *((table, table) if isinstance(table, str) else ends))
+            return Interval(table, file_value(shape, angle.low), file_value(shape, angle.high))
         if not isinstance(table, list):
             return self.intervals[name]
         # actuators that rested in all recordings have no estimate
@@ -421,16 +419,13 @@ def _lag(problem: Problem, i: int, signal: str) -> float:
 
 
 def _in_file_terms(name: str, e: Estimate) -> Interval:
-    """Convert back from a logarithm, or from value ** power, which reverses an interval if the power is negative."""
+    """Return an interval as the machine file states its number; of a direction that of its angle."""
     _, effect, key = name.split(".")
-    key = key.partition("[")[0]
-    shape = None if key == WHOLE else CATALOGUE[effect].by_name[key]
-    if shape is not None and shape.logarithmic:
-        return Interval(*(math.exp(x) for x in (e.value, e.low, e.high)))
-    if shape is not None and shape.power != 1 and e.value > 0:
-        value, *ends = (max(x, 1e-12) ** (1 / shape.power) for x in (e.value, e.low, e.high))
-        return Interval(value, min(ends), max(ends))
-    return Interval(e.value, e.low, e.high)
+    shape = CATALOGUE[effect].by_name.get(key.partition("[")[0])
+    if shape is None or shape.size == "direction":
+        return Interval(e.value, e.low, e.high)
+    value, *ends = (file_value(shape, x, of_three=True) for x in (e.value, e.low, e.high))
+    return Interval(value, min(ends), max(ends))
 
 
 def _rounded(value: Any) -> Any:
