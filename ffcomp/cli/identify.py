@@ -117,5 +117,5 @@ def _deliver(result: MachineFit, request: FitRequest | ScanRequest) -> MachineFi
     if request.output is not None:
         result = result.write(request.output)
     elif result.text:  # a later run would write it
-        check_text(result.text, result.name)
+        check_text(result.text, result.origin.name)
     return result

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -106,11 +105,9 @@ def fit_runs(
         float(np.sqrt(np.mean(simulated[: -len(known) or None] ** 2)))
         for simulated in (problem.measured - each for each in problem.simulate([first, found.values]))
     )
-    origin = Origin(Path(start.path), name, hashes, date.today().isoformat())
+    origin = Origin(start, name, hashes)
     return OneAxisFit(
-        start=start,
-        data=hashes,
-        name=name,
+        origin=origin,
         text=origin.text_of(fitted, "fit", nrms=after) if start.path else "",
         advice=[
             *found.doubt(start.name),

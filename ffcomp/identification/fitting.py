@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import date
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -112,7 +111,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     They scale the belts' stiffness of a delta, and all modes of a straight axis in proportion.
     """
     read = {axis: hz for axis, hz in (("x", request.x_hz), ("y", request.y_hz)) if hz is not None}
-    origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
+    origin = Origin(start, request.name or request.output.stem)
     if start.vibration.position_dependent:
         started = belts_alone(start, [(axis, lognormal(hz, READ_SD)) for axis, hz in read.items()])
     else:
@@ -134,7 +133,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
             f"One stiffness of the belts does not make both: with the nearest, {words}. Read the waves again, or print "
             "a page, which shows masses and mounts too: ffcomp record plan --for scan."
         )
-    return ResonancesFit(start=start, data=(), name=origin.name, text=text, advice=advice, axes={}, started=started)
+    return ResonancesFit(origin=origin, text=text, advice=advice, axes={}, started=started)
 
 
 def _with_shapers(fit: F) -> F:
@@ -142,7 +141,7 @@ def _with_shapers(fit: F) -> F:
     if not fit.text:
         return fit
     measured = {axis.name for axis in fit.result.axes} if isinstance(fit, AxesFit) else {"x", "y"}
-    advice = shaper_advice(machine_of_text(fit.text, fit.name))
+    advice = shaper_advice(machine_of_text(fit.text, fit.origin.name))
     return replace(fit, shapers=tuple(each for each in advice if each.axis in measured))
 
 
@@ -152,12 +151,10 @@ class _Task:
     def __init__(self, start: Machine, gathered: Gathered, hashes: Sequence[str], request: IdentifyRequest) -> None:
         self.start, self.gathered, self.request = start, gathered, request
         self.known = dict(request.known or {})
-        self.origin = Origin(Path(start.path), _name(start, request), hashes, date.today().isoformat())
+        self.origin = Origin(start, _name(start, request), hashes)
         self.belts = compare_belts(start, gathered.belts) if gathered.belts else None
         self.common: dict[str, Any] = {
-            "start": start,
-            "data": hashes,
-            "name": self.origin.name,
+            "origin": self.origin,
             "skipped": gathered.skipped,
             "belts": self.belts,
         }

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -26,6 +27,46 @@ from gcode.atomic_write import replace_atomically
 from models.file import check_text, updated_text
 from models.machine import Machine, value_of
 
+SMALLEST_SD = 0.002  # relative: no frequency of a printer is more constant from day to day
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a new machine file comes from."""
+
+    start: Machine  # of the starting file
+    name: str  # of the new machine
+    data: Sequence[str] = ()  # file names with hashes
+    day: str = field(default_factory=lambda: date.today().isoformat())
+
+    def note(self, estimates: Sequence[Estimate], verb: str) -> str:
+        """Say where the value of a key, or its list, is from."""
+        intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
+        return f"identified {self.day} by ffcomp identify {verb}; 90 % interval {intervals}"
+
+    def text_of(
+        self,
+        parameters: Mapping[str, Estimate | Sequence[Estimate]],
+        verb: str,
+        others: Mapping[str, Any] | None = None,
+        provenance: Mapping[str, str] | None = None,
+        **identified: Any,
+    ) -> str:
+        """Write the starting file's text with what a verb has identified, one by one or as lists, and other values."""
+        by_key: dict[str, list[Estimate]] = {}
+        values = dict[str, Any]()
+        for key, found in parameters.items():
+            values[key] = _rounded(found) if isinstance(found, Estimate) else [_rounded(each) for each in found]
+            by_key.setdefault(key.partition("[")[0], []).extend([found] if isinstance(found, Estimate) else found)
+        spreads = {key: max(min(e.relative_sd, 10.0) for e in each) for key, each in by_key.items()}
+        least = {key: SMALLEST_SD if key.startswith("axes.") else 0.0 for key in by_key}
+        uncertainty = {key: float(f"{max(least[key], spread):.2g}") for key, spread in spreads.items()}
+        notes = {key: self.note(each, verb) for key, each in by_key.items()}
+        table = {"date": self.day, "started_from": Path(self.start.path).stem, "data": list(self.data), **identified}
+        sources = {**notes, **(provenance or {}), "identified": table}
+        values |= others or {}
+        return updated_text(Path(self.start.path), values, name=self.name, uncertainty=uncertainty, provenance=sources)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MachineFit(Result):
@@ -33,15 +74,13 @@ class MachineFit(Result):
 
     method: ClassVar[str] = ""
     schema: ClassVar[str] = "ffcomp-identify-fit/1"
-    json_keys: ClassVar[dict[str, str]] = keys(
-        "data", "skipped", "method", "advice", "output", started_from="start", shapers="shapers?"
+    json_keys: ClassVar[dict[str, str]] = {"data": "origin.data"} | keys(
+        "skipped", "method", "advice", "output", started_from="origin.start", shapers="shapers?"
     )
     page_by = "ffcomp.report.identify:page_of"
     drawn_by = {"fit": "ffcomp.report.identify:figure_of"}  # noqa: RUF012 (the base states its type)
 
-    start: Machine
-    data: Sequence[str]  # files with hashes
-    name: str  # of the new machine
+    origin: Origin
     text: str = ""  # of the new machine file; empty: the data do not make one
     skipped: Sequence[str] = ()  # sentences on data that were not used
     advice: Sequence[str] = ()  # sentences
@@ -279,47 +318,6 @@ def hash_of(path: Path) -> str:
 
 
 # ---- machine files: the starting file's text with values, uncertainties and provenance -----------
-
-
-SMALLEST_SD = 0.002  # relative: no frequency of a printer is more constant from day to day
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What a new machine file comes from."""
-
-    source: Path  # the starting file
-    name: str  # of the new machine
-    data: Sequence[str]  # file names with hashes
-    date: str
-
-    def note(self, estimates: Sequence[Estimate], verb: str) -> str:
-        """Say where the value of a key, or its list, is from."""
-        intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
-        return f"identified {self.date} by ffcomp identify {verb}; 90 % interval {intervals}"
-
-    def text_of(
-        self,
-        parameters: Mapping[str, Estimate | Sequence[Estimate]],
-        verb: str,
-        others: Mapping[str, Any] | None = None,
-        provenance: Mapping[str, str] | None = None,
-        **identified: Any,
-    ) -> str:
-        """Write the starting file's text with what a verb has identified, one by one or as lists, and other values."""
-        by_key: dict[str, list[Estimate]] = {}
-        values = dict[str, Any]()
-        for key, found in parameters.items():
-            values[key] = _rounded(found) if isinstance(found, Estimate) else [_rounded(each) for each in found]
-            by_key.setdefault(key.partition("[")[0], []).extend([found] if isinstance(found, Estimate) else found)
-        spreads = {key: max(min(e.relative_sd, 10.0) for e in each) for key, each in by_key.items()}
-        least = {key: SMALLEST_SD if key.startswith("axes.") else 0.0 for key in by_key}
-        uncertainty = {key: float(f"{max(least[key], spread):.2g}") for key, spread in spreads.items()}
-        notes = {key: self.note(each, verb) for key, each in by_key.items()}
-        table = {"date": self.date, "started_from": self.source.stem, "data": list(self.data), **identified}
-        sources = {**notes, **(provenance or {}), "identified": table}
-        values |= others or {}
-        return updated_text(self.source, values, name=self.name, uncertainty=uncertainty, provenance=sources)
 
 
 def _rounded(estimate: Estimate) -> float:

@@ -41,10 +41,10 @@ def figure_of(fit: MachineFit) -> Figure:
         return page_figure(fit)
     if isinstance(fit, ParametersFit | AxesFit):
         panels = panels_of(fit.result) if isinstance(fit, ParametersFit) else _panels_of_axes(fit)
-        return three_panels(fit.name, fit.headline, panels, klipper_block(fit.shapers), fit.belts)
+        return three_panels(fit.origin.name, fit.headline, panels, klipper_block(fit.shapers), fit.belts)
     if fit.belts is None:
         raise RequestError("These data hold no frequency responses to draw (see: --plan).")
-    return belts_figure(fit.belts, fit.name)
+    return belts_figure(fit.belts, fit.origin.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +82,12 @@ def page_of(fit: MachineFit) -> Page:
     """Return the page of a fit: its panels, and settings of an input shaper to copy."""
     sections, has_panels = list[Section](), isinstance(fit, ParametersFit | AxesFit)
     if isinstance(fit, ScanFit) or (fit.belts is not None and not has_panels):
-        return replace(plain(fit), title=fit.name)
+        return replace(plain(fit), title=fit.origin.name)
     if has_panels:
         sections.append(Section("The fit", figures=[figure_of(fit)]))
     if block := klipper_block(fit.shapers):
-        text = ["Paste into printer.cfg:"]
-        sections.append(Section("If you stay with an input shaper", sentences=text, code=block))
-    return Page(fit.name, [f"method {fit.method}"], sections, replace(fit, output=None).answer)
+        sections.append(Section("If you stay with an input shaper", sentences=["Paste into printer.cfg:"], code=block))
+    return Page(fit.origin.name, [f"method {fit.method}"], sections, replace(fit, output=None).answer)
 
 
 def panels_of(fitted: Fitted) -> Panels:
@@ -238,11 +237,12 @@ def _label(belts: BeltComparison, number: int) -> str:
 
 def page_figure(fit: ScanFit) -> Figure:
     """Draw the page with its waves magnified, and the line whose waves are explained worst, with its residual."""
-    result, places = fit.result, list(dict.fromkeys(line.stroke.place for line in fit.result.lines))
+    result, name = fit.result, fit.origin.name
     drawn = list(zip(result.lines, result.seen, result.fitted, strict=True))
+    places = list(dict.fromkeys(line.stroke.place for line in result.lines))
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(WIDTH, 9.0), dpi=200, layout="constrained")
-        figure.suptitle(f"{fit.name}\n{fill(fit.headline, LETTERS)}", x=0.01, ha="left", fontsize=10, parse_math=False)
+        figure.suptitle(f"{name}\n{fill(fit.headline, LETTERS)}", x=0.01, ha="left", fontsize=10, parse_math=False)
         page, panel = figure.subplots(2, 1, height_ratios=(2, 1))
         for line, seen, model in drawn:
             for wave, colour, width in ((seen, REFERENCE, 1.4), (model, AFTER, 0.9)):

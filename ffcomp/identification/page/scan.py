@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +63,7 @@ class ScanFit(MachineFit):
     def found(self) -> list[Fact]:
         """Modes at each place, and every parameter."""
         fit, facts = self.result, list[Fact]()
-        if self.start.vibration.position_dependent:
+        if self.origin.start.vibration.position_dependent:
             for place in fit.places:
                 x, y = place.position_mm
                 words = "; ".join(f"{mode.frequency_hz} Hz, ζ {mode.damping_ratio}" for mode in place.modes)
@@ -93,8 +92,9 @@ def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str],
     result = fit_page(start, lines, page.line_width_mm, progress)
     hashes = [hash_of(path) for path in request.pictures]
     name = request.name or (request.output.stem if request.output is not None else f"{Path(start.path).stem}-scanned")
-    text = _file_text(Origin(Path(start.path), name, hashes, date.today().isoformat()), result)
-    fit = ScanFit(start=start, data=hashes, name=name, text=text, advice=_advice(start, result), result=result)
+    origin = Origin(start, name, hashes)
+    text = _file_text(origin, result)
+    fit = ScanFit(origin=origin, text=text, advice=_advice(start, result), result=result)
     return replace(fit, shapers=tuple(shaper_advice(machine_of_text(text, name))))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +14,10 @@ from ffcomp.identification.modal_fit import AxisFit, AxisMode
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import FloatArray
-from models.file import machine_of_text
+from models.file import load_machine, machine_of_text
 from models.kinematics.cartesian import COREXY
 from models.vibration.modal import Axis, ModalAxes
 
-ROOT = Path(__file__).parents[4]
 F = np.arange(8.0, 140.0, 1.5)
 AXES = (Axis([57.0, 90.0], [0.07, 0.05], [0.8, 0.2]), Axis([48.0], [0.06]), Axis())
 
@@ -72,7 +70,7 @@ def test_exchange_is_found_whether_or_not_the_sensor_is_turned(delta: float, tur
 
 def test_it_is_written_with_its_interval_and_read_again() -> None:
     found = fitted(0.05)
-    text = axes_file_text(Origin(ROOT / "models/library/voron-300.toml", "mine", ["a.csv"], "today"), found)
+    text = axes_file_text(Origin(load_machine("voron-300"), "mine", ["a.csv"], "today"), found)
     model = machine_of_text(text, "mine").vibration
     assert isinstance(model, ModalAxes) and model.exchange == pytest.approx(0.05, rel=0.05)
     assert '"axes.exchange" = "identified today' in text and "90 % interval" in text

@@ -184,7 +184,7 @@ def test_a_strong_second_mode_is_written_and_none_where_there_is_none() -> None:
     assert fit.estimates["axes.x.share[1]"].value == pytest.approx(share, abs=0.06)
     (y,), (damping,), _ = TWO_MASSES.axis_modes(1)
     assert fit.estimates["axes.y.damping_ratio[0]"].value == pytest.approx(damping, rel=0.15)
-    written = machine_of_text(_file_text(Origin(Path(machine.path), "scanned", [], "today"), fit), "scanned")
+    written = machine_of_text(_file_text(Origin(machine, "scanned"), fit), "scanned")
     expected = sorted([y, *hz])
     assert written.vibration.modes_at(np.zeros(2)).frequencies_hz == pytest.approx(expected, rel=0.02)
 

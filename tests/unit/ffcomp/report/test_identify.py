@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from ffcomp.identification.machine_fit import ParametersFit
+from ffcomp.identification.machine_fit import Origin, ParametersFit
 from ffcomp.identification.output_error import Fitted
 from ffcomp.identification.predict import predicted
 from ffcomp.identification.uncertainty import normal
@@ -55,7 +55,7 @@ def drawn() -> Figure:
 
 def test_the_page_has_the_answer_three_panels_and_settings_to_paste() -> None:
     fit = ParametersFit(
-        **{"start": MACHINE, "data": [], "skipped": ["one.csv"], "name": "mine", "advice": ["Weigh it."], "text": ""},
+        **{"origin": Origin(MACHINE, "mine"), "skipped": ["one.csv"], "advice": ["Weigh it."]},
         result=identified(0.013),
         shapers=shaper_advice(MACHINE),
         output=Path("folder/better.toml"),
