@@ -25,6 +25,7 @@ from models.printer.one_axis import axis_effects
 
 BOTH = 9.0  # in place of an angle: alike in x and y
 USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
+RESTS_MM = 0.05  # an actuator that moves less rests
 PROBE = 0.1  # of a usual size: the signature of an axis' effect is taken there
 IN_FILE = "file."  # prefix of the sizes of effects that the file states: retuned like its other numbers
 WHOLE = "whole"  # the one parameter of an effect that is there or not
@@ -148,12 +149,12 @@ def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: 
     possible, idle = _possible_effects(machine, commands), _idle_actuators(machine, commands)
     effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
     moved = [command @ machine.kinematics.motors.T for command in commands]
-    limits = {
-        "pitch_mm": (0.0, float(max(np.ptp(each, axis=0).max() for each in moved)) / 2.0),
-        "q_centre_mm": _a_travel_beyond(moved),
-        "x_centre_mm": _a_travel_beyond([machine.kinematics.forward(command)[:, 0] for command in commands]),
+    travels = {
+        "q_centre_mm": _travel(moved),
+        "x_centre_mm": _travel([machine.kinematics.forward(command)[:, :1] for command in commands]),
     }
-    limited = (within_travel(_printer_candidate(machine, effect, idle), limits) for effect in effects)
+    longest = float(max(np.ptp(each, axis=0).max() for each in moved)) / 2.0
+    limited = (within_travel(_printer_candidate(machine, effect, idle), longest, travels) for effect in effects)
     return [with_replaced(machine, candidate) for candidate in limited if candidate is not None]
 
 
@@ -170,38 +171,48 @@ def _possible_effects(machine: Machine, commands: Sequence[FloatArray]) -> list[
 def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozenset[int]:
     """Return which actuators rest in all recordings, and their motors with them: they cannot be identified."""
     travel = np.max([np.ptp(command, axis=0) for command in commands], axis=0)
-    moves = travel > 0.05  # mm: an actuator that moves less rests
+    moves = travel > RESTS_MM
     driven = np.abs(machine.kinematics.motors) @ moves > 0
     return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
 
 
-def _a_travel_beyond(places: Sequence[FloatArray]) -> tuple[float, float]:
-    """Return the ends of what was travelled, each farther out by all of it."""
-    first, last = min(float(each.min()) for each in places), max(float(each.max()) for each in places)
-    return 2 * first - last, 2 * last - first
+def _travel(places: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return the ends of what was travelled, mm; `places` : (n, k) of what moves."""
+    ends = np.array([(each.min(axis=0), each.max(axis=0)) for each in places])
+    first, last = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
+    moves = last - first > RESTS_MM
+    return (float(first[moves].min()), float(last[moves].max())) if moves.any() else (0.0, 0.0)
 
 
-def within_travel(candidate: Candidate, limits: Mapping[str, tuple[float, float]]) -> Candidate | None:
+def within_travel(
+    candidate: Candidate, longest_mm: float, travels: Mapping[str, tuple[float, float]]
+) -> Candidate | None:
     """Limit a pitch to half a travel, and a centre to one travel beyond its ends; None if no pitch is left.
 
-    With less than two periods nothing repeats; what changes about a place far beyond the ends is the same all along.
+    With less than two periods nothing repeats; what changes about a place far beyond the ends is the same all along. A
+    search for a centre begins in the middle: there the effect changes nothing on average, as a number of the file does.
     """
 
-    def inside(name: str, value: float) -> float:
-        return float(np.clip(value, *limits.get(name.rpartition(".")[2], (-np.inf, np.inf))))
+    def placed(n: Parameter) -> Parameter:
+        key = n.name.rpartition(".")[2]
+        if key in travels:
+            first, last = travels[key]
+            width = max(last - first, RESTS_MM)
+            return Parameter(n.name, (first + last) / 2, width, first - width, last + width)
+        if key == "pitch_mm":
+            return replace(n, start=min(n.start, longest_mm), high=min(n.high, longest_mm))
+        return n
 
-    shapes = tuple(
-        replace(n, start=inside(n.name, n.start), low=inside(n.name, n.low), high=inside(n.name, n.high))
-        for n in candidate.shapes
-    )
+    shapes = tuple(map(placed, candidate.shapes))
+    centres = {n.name: n.start for n in shapes if n.name.rpartition(".")[2] in travels}
     grid = tuple(
-        {name: inside(name, x) for name, x in point.items()}
+        {**point, **centres}
         for point in candidate.grid
-        if all(inside(name, x) == x for name, x in point.items() if name.endswith(".pitch_mm"))
+        if all(x <= longest_mm for name, x in point.items() if name.endswith(".pitch_mm"))
     )
     if not grid:
         return None
-    other = None if candidate.other is None else within_travel(candidate.other, limits)
+    other = None if candidate.other is None else within_travel(candidate.other, longest_mm, travels)
     return replace(candidate, shapes=shapes, grid=grid, other=other)
 
 
@@ -278,10 +289,8 @@ def _starts(p: EffectParameter, machine: Machine) -> list[float]:
         # it repeats every full step, or every four
         return [steps / float(machine.steps.full_per_motor[0]) for steps in (1.0, 4.0)]
     low, high = p.typical
-    if p.name == "x_centre_mm":
-        return [float(machine.kinematics.centre_mm[0])]
-    if p.name == "q_centre_mm":
-        return [0.5 * (low + high)]
+    if p.name.endswith("_centre_mm"):
+        return [0.0]  # see `within_travel`
     if p.name == "damping_ratio":
         return [float(np.sqrt(low * high))]
     return [float(x) for x in np.geomspace(low, high, 20 if p.name == "frequency_hz" else 3)]

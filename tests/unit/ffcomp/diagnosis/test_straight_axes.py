@@ -138,9 +138,8 @@ def test_what_depends_on_the_place_is_named(
 def test_nothing_is_said_of_the_place_where_all_is_recorded_at_one(tmp_path: Path) -> None:
     names = ("gantry_racking", "growing_bed", "toolhead_mode", "guide_damping")
     machine, runs = filed(PLANT, "cartesian", tmp_path), recorded(PLANT)
-    assert [c.name for c in PrinterProblem(machine, runs, names).candidates] == [
-        "gantry_racking",
-        "toolhead_mode",
-        "guide_damping",
-    ]
+    racking, tool, guides = PrinterProblem(machine, runs, names).candidates
+    assert (racking.name, tool.name, guides.name) == ("gantry_racking", "toolhead_mode", "guide_damping")
+    (centre,) = (n for n in racking.shapes if n.name.endswith(".x_centre_mm"))
+    assert (centre.start, centre.sd) == (pytest.approx(100, abs=3), pytest.approx(136, abs=6))  # 40 to 160, and swings
     assert [c.name for c in PrinterProblem(machine, runs[:2], names).candidates] == ["guide_damping"]
