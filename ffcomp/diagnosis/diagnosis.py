@@ -230,7 +230,7 @@ def _diagnosed(
     least = max(settings.exists, chance) if noise.from_repeats else estimation.tolerance
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = linearised(estimation, problem.parameters, np.zeros(len(problem.parameters)))
-    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
+    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, small_gain=QUICK_GAIN / 10)
     progress(f"the machine's own parameters alone: {error_left(base)}")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
     fault = fault_of_recordings(estimation, problem.simulate({}), base)
@@ -367,7 +367,7 @@ def _file_off(result: Diagnosis) -> Fit | None:
         n if times == 1.0 else Parameter.near(n.name, n.start, times * n.sd)
         for n, times in zip(base.parameters, looser, strict=True)
     ]
-    alone = fit(result.estimation, loose, base.z / looser, base.jacobian * looser, iterations=6)
+    alone = fit(result.estimation, loose, base.z / looser, base.jacobian * looser)
     rows = len(alone.residual)
     enough = max(AS_LOOSE * best.fit.chi_squared / rows - 1, result.estimation.tolerance)
     return alone if mean_square(alone) - 1 < enough else None

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import SMALL_GAIN, EstimationProblem, Fit, clipped, derivatives, fit, values_at
+from ffcomp.diagnosis.fit import MOST_STEPS, SMALL_GAIN, EstimationProblem, Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis, log_fit, log_try
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.numerics.stages import Progress
@@ -41,7 +41,7 @@ def continue_fit(
     if known is not None:
         columns = np.hstack([known, columns])
     renew = every[-h.effect_count :] if h.effect_count <= RENEWED else ()
-    fitted = _fit_quickly(estimation, h.fit.parameters, h.fit.z, columns, renew, 30, QUICK_GAIN, rough=machine)
+    fitted = _fit_quickly(estimation, h.fit.parameters, h.fit.z, columns, renew, MOST_STEPS, QUICK_GAIN, rough=machine)
     return log_fit(estimation, Hypothesis(h.effects, fitted), progress, note)
 
 
@@ -119,7 +119,7 @@ def fit_in_excerpt(part: EstimationProblem, fitted: Fit) -> Fit:
     known = {n.name for n in part.problem.parameters}
     keep = [i for i, n in enumerate(fitted.parameters) if n.name in known]
     begun = linearised(part, tuple(fitted.parameters[i] for i in keep), fitted.z[keep])
-    return fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
+    return fit(part, begun.parameters, begun.z, begun.jacobian)
 
 
 def linearised(estimation: EstimationProblem, parameters: Sequence[Parameter], z: FloatArray) -> Fit:

@@ -32,6 +32,7 @@ from models.arrays import FloatArray, IntArray
 BLOCK_HZ = 5.0  # over which the residual of a wrong shape keeps its sign
 KEPT = 48  # residuals of the last values: a fit begins where the one before has ended
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
+MOST_STEPS = 30  # of a fit
 STEP = 0.01  # of a prior's standard deviation, for differences
 LEAST_GAIN, SMALL_GAIN = 0.3, 1e-7  # of |r|², times φ; of what stands above the noise: a fit ends with less to gain
 FORMULA_ERROR = 0.04  # of an effect's size, however loud it is: plants with other formulas than ours scatter so
@@ -296,7 +297,7 @@ def fit(
     start: FloatArray,
     jacobian: FloatArray | None = None,
     renew: Sequence[int] = (),
-    iterations: int = 6,
+    iterations: int = MOST_STEPS,
     small_gain: float = SMALL_GAIN,
     renew_all: bool = True,
     exact: bool = False,
