@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, superfluous
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, believed, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, left_of
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Parameter
+from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 
@@ -44,10 +45,28 @@ def rejections(
         elif left / rows > estimation.tolerance and (share := left_of(held_out)) > settings.left:
             failed.append(f"{100 * share:.0f} % of the discrepancy is left where it was left out of the fit")
     failed += unfounded(best, intervals)
+    if retuned_too_far(best.fit, settings.chance_sd):
+        failed.append("the file's numbers would have to be off further than their uncertainties together allow")
     for candidate in best.effects:
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")
     return failed
+
+
+def retuned_too_far(fitted: Fit, chance_sd: float) -> bool:
+    """Tell whether the file's numbers were retuned further, all together, than chance puts them off.
+
+    Each may be off by a little; where all of them must be, something else is missing, which they stand in for. Squares
+    of standard deviations add up to χ².
+
+    Parameters
+    ----------
+    chance_sd : standard deviations of a normal variable, that are as unlikely as what chance alone may show.
+    """
+    from scipy.special import chdtrc, ndtr
+
+    own = believed(fitted.parameters) & [not belongs_to_recording(n.name) for n in fitted.parameters]
+    return bool(chdtrc(max(int(own.sum()), 1), float(np.sum(fitted.z[own] ** 2))) < ndtr(-chance_sd))
 
 
 def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:

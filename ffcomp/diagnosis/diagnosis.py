@@ -4,7 +4,7 @@ A discrepancy is what neither noise nor retuning within reach of the stated unce
 only if its hypothesis passes every acceptance test:
 
     there is a discrepancy · the effect is significant · little of the discrepancy is left · little is left at every
-    position that was left out of the fit · its interval excludes no effect, and its value is feasible
+    position that was left out of the fit · its interval excludes no effect, and the file's numbers are not far off
 
 Otherwise the verdict is `unknown`: an unexplained discrepancy is never reported as none.
 """

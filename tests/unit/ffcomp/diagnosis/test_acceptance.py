@@ -38,20 +38,23 @@ def test_what_is_left_counts_in_units_of_noise_and_of_signals() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scatter", "after", "said"),
+    ("scatter", "after", "z", "said"),
     [
-        (1.0, [], "it was tested nowhere else: there is one experiment only"),
-        (1.0, [999.9], "data left out of the fit are simulated no better with it than by chance"),  # 10 of 10.6
-        (1e4, [10.0], "data left out of the fit are simulated no better with it than by chance"),
-        (1.0, [400.0], "40 % of the discrepancy is left where it was left out of the fit"),
-        (1.0, [10.0], ""),
+        (1.0, [], 0.0, "it was tested nowhere else: there is one experiment only"),
+        (1.0, [999.9], 0.0, "data left out of the fit are simulated no better with it than by chance"),  # 10 of 10.6
+        (1e4, [10.0], 0.0, "data left out of the fit are simulated no better with it than by chance"),
+        (1.0, [400.0], 0.0, "40 % of the discrepancy is left where it was left out of the fit"),
+        (1.0, [10.0], 1.9, ""),  # ten numbers: once in 12 000 machines by chance; 2.0 once in 59 000
+        (1.0, [10.0], 2.0, "the file's numbers would have to be off further than their uncertainties together allow"),
     ],
 )
-def test_what_a_hypothesis_fails_by(scatter: float, after: list[float], said: str) -> None:
+def test_what_a_hypothesis_fails_by(scatter: float, after: list[float], z: float, said: str) -> None:
     mode = frame_mode((3.0, 1.0)).effects[0]
     problem = SimpleNamespace(candidates=[mode, replace(mode, name="arm_inertia")])
     estimation: Any = SimpleNamespace(settings=SearchSettings(), tolerance=1.0, problem=problem)
-    best: Any = SimpleNamespace(fit=SimpleNamespace(overdispersion=scatter), effects=(), effect_parameters=())
+    numbers = tuple(Parameter(f"carriage.number_{i}", 1.0, 0.02) for i in range(10))
+    fit: Any = SimpleNamespace(overdispersion=scatter, parameters=numbers, z=np.full(10, z))
+    best: Any = SimpleNamespace(fit=fit, effects=(), effect_parameters=())
     held_out = [HeldOut((0.0, 0.0), "", 100, 1e3, x, 1e3, power=(1.0, x / 1e3, 1.2, 0.0)) for x in after]
     assert rejections(estimation, best, held_out, {}) == [said] * bool(said)
 
