@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly
+from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly, quickest
 from ffcomp.diagnosis.fit import (
     EstimationProblem,
     Fit,
@@ -53,7 +53,7 @@ SIZES = (1.0, 0.2, 0.04, -0.04, -0.2, -1.0)  # of a usual size, where fits may b
 ESTIMATES = (1.0, 0.3)  # of the linear estimate
 ADDED_SIZES = (0.1, 0.3, 1.0, -0.1, -0.3, -1.0)  # of the usual size of what a richer form adds
 LOUD = 0.1  # of the signals' power: a larger residual is far from linear
-SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
+SHIFTS = (0.0, *ADDED_SIZES, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +89,9 @@ def find_best(search: Search) -> Selection:
     search.progress(Stage(4, "fitting the most promising effects"))
     settings, beam = search.settings, _first_level(search)
     best, tried = beam[0], beam
-    while len(best.effects) < settings.most_effects and _asks_for_more(search, best) and search.may_go_on:
+    while len(best.effects) < settings.most_effects and leaves_excess(search.estimation, best.fit) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
-        near = [h for h in beam if comparable(h, best, settings.near, settings)]
+        near = [best] if _is_trace(search, best) else [h for h in beam if comparable(h, best, settings.near, settings)]
         chosen = _chosen(search, [h.fit for h in near])
         beam = _level(search, [child for h in near for child in _expanded(search, h, chosen)])
         tried = [*tried, *beam]
@@ -125,26 +125,25 @@ def _first_level(search: Search) -> list[Hypothesis]:
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
     """Tell whether a larger hypothesis explains most of what the smaller one leaves, also where it was not fitted.
 
-    Any effect takes up some of a rest that nothing known explains.
+    Any effect takes up some of a rest that nothing known explains; of one that formulas may leave, it must take all.
     """
-    estimation = search.estimation
-    if not significant(larger.fit, smaller.fit, search.settings, search.settings.dominant):
+    estimation, settings = search.estimation, search.settings
+    share = 1 - settings.left if _is_trace(search, smaller) else settings.dominant
+    if not significant(larger.fit, smaller.fit, settings, share):
         reason = "not significant"
     else:
         least = estimation.tolerance * len(estimation.measured)
         parts = motions_or_groups(estimation.problem)
         before, after = (sum(map(beyond_noise, left_out(estimation, h.fit, parts))) for h in (smaller, larger))
-        enough = after < max((1 - search.settings.dominant) * before, least)
-        reason = "" if enough else "leaves too much where it was left out"
+        reason = "" if after < max((1 - share) * before, least) else "leaves too much where it was left out"
     outcome = "dropped" if reason else "kept"
     estimation.trace.add("level", larger.names, evidence=larger.fit.evidence, outcome=outcome, reason=reason)
     return not reason
 
 
-def _asks_for_more(search: Search, h: Hypothesis) -> bool:
-    """Tell whether another effect is looked for: more is left than the formulas of those named may leave."""
-    inexact = h.discrepancy < search.settings.trace * search.retuned.discrepancy
-    return leaves_excess(search.estimation, h.fit) and not inexact
+def _is_trace(search: Search, h: Hypothesis) -> bool:
+    """Tell whether no more is left than the formulas of the effects may leave."""
+    return h.discrepancy < search.settings.trace * search.retuned.discrepancy
 
 
 def _inexact(search: Search, h: Hypothesis) -> bool:
@@ -167,17 +166,23 @@ def _chosen(search: Search, parents: Sequence[Fit]) -> Sequence[int]:
 
 
 def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypothesis]:
-    """Score the other effects next to a hypothesis, and fit the most promising ones with it quickly."""
+    """Score the other effects next to a hypothesis, and fit the most promising ones with it quickly.
+
+    A rest that formulas may leave is small, so that the score foretells what a fit will explain of it.
+    """
     if not search.may_go_on:
         return []
     part = _loudest(search, h.fit, chosen)
     others = [c for c in search.estimation.problem.candidates if may_join(c.name, h)]
-    return _quick_fits(search, h, screen(part.estimation, part.fit, others), chosen)
+    screened = screen(part.estimation, part.fit, others)
+    if _is_trace(search, h):
+        screened = [s for s in screened if -s.evidence > search.settings.dominant * beyond_noise(part.fit.residual)]
+    return _quick_fits(search, h, screened, chosen)
 
 
 def _loudest(search: Search, fitted: Fit, chosen: Sequence[int] | None = None) -> Subset:
     """Return the motions that hold most of a fit's residual, or chosen ones, simulated coarsely."""
-    quick = replace(search.estimation, coarse=True)
+    quick, _ = quickest(search.estimation, fitted.values)
     return subset_of(quick, fitted, chosen) or Subset(quick, fitted)
 
 
@@ -314,8 +319,8 @@ def _richer(search: Search, h: Hypothesis) -> list[Hypothesis]:
         start = _mapped(effects, h)
         if start.effect_count > h.effect_count:
             begun.append(_best_start(part, start, h))
-    excess = max(part.fit.cost - len(part.fit.residual), 0.0)
-    enough = part.fit.cost - settings.reshaped_share * excess / 2
+    now = part.fit.chi_squared + float(part.fit.z @ (part.fit.prior * part.fit.z))
+    enough = now - settings.reshaped_share * max(now - len(part.fit.residual), 0.0) / 2
     return [start for cost, start in sorted(begun, key=lambda each: each[0])[: settings.forms] if cost < enough]
 
 
