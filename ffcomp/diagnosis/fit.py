@@ -311,12 +311,6 @@ def fit(
     return Fit(tuple(parameters), best.values, best.residual, best.jacobian, estimation.block_rows)
 
 
-def without_derivatives(estimation: EstimationProblem, fitted: Fit) -> Fit:
-    """Fit further without derivatives; see `pattern_search`."""
-    best = engine.pattern_search(_Scaled(estimation, fitted.parameters, 0), fitted.z, fitted.jacobian)
-    return replace(fitted, z=best.values, residual=best.residual)
-
-
 class _Scaled(FittedProblem):
     """Parameters in units of their priors' standard deviations; what is simulated is the whitened residual itself."""
 

@@ -27,7 +27,6 @@ from ffcomp.diagnosis.fit import (
     limits_of,
     solved,
     values_at,
-    without_derivatives,
 )
 from ffcomp.diagnosis.held_out import beyond_noise, left_out, motions_or_groups
 from ffcomp.diagnosis.hypotheses import (
@@ -52,7 +51,6 @@ from models.effects.catalogue import CATALOGUE
 SIZES = (1.0, 0.2, 0.04, -0.04, -0.2, -1.0)  # of a usual size, where fits may begin
 ESTIMATES = (1.0, 0.3)  # of the linear estimate
 ADDED_SIZES = (0.1, 0.3, 1.0, -0.1, -0.3, -1.0)  # of the usual size of what a richer form adds
-LOUD = 0.1  # of the signals' power: a larger residual is far from linear
 SHIFTS = (0.0, *ADDED_SIZES, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
 
 
@@ -87,8 +85,10 @@ class Selection:
 def find_best(search: Search) -> Selection:
     """Search, and fit what was found with exact derivatives."""
     search.progress(Stage(4, "fitting the most promising effects"))
-    settings, beam = search.settings, _first_level(search)
-    best, tried = beam[0], beam
+    settings, none = search.settings, Hypothesis((), search.retuned)
+    quick = _quick_fits(search, none, search.screened, _chosen(search, [search.retuned]))
+    beam = tried = _level(search, quick) or [none]
+    best = beam[0]
     while len(best.effects) < settings.most_effects and leaves_excess(search.estimation, best.fit) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
         near = [best] if _is_trace(search, best) else [h for h in beam if comparable(h, best, settings.near, settings)]
@@ -100,26 +100,6 @@ def find_best(search: Search) -> Selection:
         best = beam[0]
     search.progress(Stage(6, "fitting what was found with exact derivatives"))
     return Selection(_finished(search, best, tried), tuple(tried))
-
-
-def _first_level(search: Search) -> list[Hypothesis]:
-    """Return the likeliest hypotheses of one effect, the likeliest first; that of none where no effect is visible.
-
-    If no effect explains most of a loud residual, that is far from linear, and derivatives do not lead to the optimum,
-    least of all of backlash. Then all fits are continued without them.
-    """
-    none, chosen, settings = Hypothesis((), search.retuned), _chosen(search, [search.retuned]), search.settings
-    quick = _quick_fits(search, none, search.screened, chosen)
-    beam = _level(search, quick) or [none]
-    left, signals = search.retuned.chi_squared, float(search.estimation.measured @ search.estimation.measured)
-    if left < LOUD * signals or beam[0].discrepancy < (1 - settings.dominant) * search.retuned.discrepancy:
-        return beam
-    search.progress("no effect explains most of it: fitting without derivatives")
-    part, further = _loudest(search, search.retuned, chosen), list[Hypothesis]()
-    for h in (each for each in quick if search.may_go_on):
-        fitted = replace(h, fit=without_derivatives(part.estimation, h.fit))
-        further.append(log_fit(search.estimation, fitted, search.progress, ", without derivatives"))
-    return _level(search, further) or beam
 
 
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:

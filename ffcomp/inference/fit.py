@@ -26,9 +26,6 @@ from models.arrays import FloatArray
 DAMPINGS = (1e1, 1e2, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help,
 BENT = (1.0, 0.3)  # with shares of that step, bent
 SMALLEST_DAMPING = 1e-3
-SEARCHED, HALVINGS, SWEEPS = 0.5, 5, 16  # standard deviations of priors that a pattern search begins with; its ends
-MATTERS = 0.1  # of the residual: an unknown that changes less of it stays
-ENOUGH = 0.005  # of the cost: a sweep that gains less halves the radius
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 TRUSTED_GAIN = 0.3  # of its predicted gain a step must reach, or derivatives that were kept are too old
 MOST_CHANGE, FINEST = 30.0, 1e-3  # a difference's step shrinks, at most to this share, where it changes more than that
@@ -166,35 +163,6 @@ def fit(
         here, status = run.descend(here, fresh=True)
         progress(here)
     return replace(here, status=status, n_evaluations=run.count, history=tuple(run.history))
-
-
-def pattern_search(problem: P, start: FloatArray, jacobian: FloatArray) -> FitResult[P]:
-    """Search without derivatives (Hooke & Jeeves, J. ACM 8, 1961), which mislead where a simulation is rough.
-
-    Impacts, as of backlash, make the cost a wide valley with small bumps on it. Each unknown that matters moves by a
-    radius either way; then all move together to the minimum of a parabola through these points. The best point is the
-    next centre; if none is better, the radius, in priors' standard deviations, is halved. Derivatives stay the start's.
-    """
-    run = _Run(problem, FitSettings())
-    here, radius = run.begin(start, None, jacobian), SEARCHED
-    here = replace(here, precision=problem.precision(here.residual))
-    sd = 1 / np.sqrt(problem.prior[1])
-    change = SEARCHED * sd * np.linalg.norm(jacobian, axis=0)
-    own = np.flatnonzero(change > MATTERS * float(np.linalg.norm(here.residual)))
-    for _ in range(SWEEPS):
-        moves = radius * np.diag(sd)[own]
-        sides = run.points(here, [*moves, *-moves])
-        ahead, behind = np.split(np.array([point.cost for point in sides]), 2)
-        curvature = ahead + behind - 2 * here.cost
-        bowl = np.clip((behind - ahead) / (2 * np.where(curvature > 0, curvature, np.inf)), -1.0, 1.0)
-        least = np.where(curvature > 0, bowl, np.sign(behind - ahead)) @ moves
-        tried = [*sides, *run.points(here, [share * least for share in (0.5, 1.0, 2.0)])]
-        best = min(tried, key=lambda point: point.cost)
-        if best.cost < (1 - ENOUGH) * here.cost:
-            here = best
-        elif (radius := radius / 2) < SEARCHED / 2**HALVINGS:
-            break
-    return here
 
 
 def derivatives(

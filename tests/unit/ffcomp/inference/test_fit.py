@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.inference.covariance import overdispersion
-from ffcomp.inference.fit import FitResult, FitSettings, Status, best_of, bounded_step, fit, pattern_search
+from ffcomp.inference.fit import FitResult, FitSettings, Status, best_of, bounded_step, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from models.arrays import FloatArray
 
@@ -67,22 +67,6 @@ def test_a_narrow_valley_is_followed_round_its_bend() -> None:
     seen = Observation(np.array([1.0, 0.0]), np.ones(2))
     found = fit(Valley(np.eye(2), [seen], [Unknown("x"), Unknown("y")]), np.array([-1.2, 1.0]))
     assert found.status is Status.CONVERGED and found.n_evaluations < 30 and found.values == pytest.approx([1.0, 1.0])
-
-
-class Rough(Line):
-    """A line with a ripple that is small and steep: derivatives point anywhere."""
-
-    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
-        return (self.matrix @ (x + 0.02 * np.sin(300 * x)) for x in lanes)
-
-
-def test_a_rough_cost_is_searched_without_derivatives() -> None:
-    matrix = np.random.default_rng(4).normal(size=(40, 3))
-    truth, start = np.array([0.7, -0.4, 0.2]), np.zeros(3)
-    problem = Rough(matrix, [Observation(matrix @ truth, np.ones(40))], [Unknown(n, sd=1.0, step=1e-5) for n in "abc"])
-    found = pattern_search(problem, start, matrix)
-    assert np.abs(fit(problem, start).values - truth).max() > 0.3
-    np.testing.assert_allclose(found.values, truth, atol=0.06)
 
 
 def test_running_out_of_steps_is_not_converging() -> None:
