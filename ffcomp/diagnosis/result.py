@@ -19,6 +19,7 @@ from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.diagnosis.where import ResidualBreakdown, ResidualCurve, locate_residual, residual_curves
+from ffcomp.identification.machine_fit import Origin
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.serialise import ALL_OF, keys
 from models.effects.catalogue import CATALOGUE, key_in_file
@@ -253,10 +254,8 @@ class DiagnosisResult:
     def undetermined(self) -> list[str]:
         """Numbers of the effects at their bounds, or open over all of their range."""
         best = self.search.best
-        return [] if best is None else [self._number(name) for name in undetermined(best, self.search.intervals)]
-
-    def _number(self, name: str) -> str:
-        return self.problem.quantities.key(name).removeprefix("effects.")
+        names = [] if best is None else undetermined(best, self.search.intervals)
+        return [self.problem.quantities.key(name).removeprefix("effects.") for name in names]
 
     @property
     def confounded_with(self) -> list[Confusable]:
@@ -362,16 +361,9 @@ class DiagnosisResult:
                 late[Path(o.name).name] = most
         return late
 
-    def better_file(self, source: Path, name: str, data: Sequence[str], when: str) -> str:
-        """Write the machine file with the named effects, the retuned parameters and their provenance.
-
-        Parameters
-        ----------
-        source : the original file, whose comments stay
-        data : the files of the recordings, with their hashes
-        when : the date
-        """
-        quantities, gap = self.problem.quantities, self.gap
+    def better_file(self, name: str, data: Sequence[str]) -> str:
+        """Write the machine file with the named effects and retuned parameters; `data` : files with their hashes."""
+        quantities, gap, origin = self.problem.quantities, self.gap, Origin(self.problem.machine, name, data)
         values: dict[str, Any] = {key: float(f"{each.fitted:.6g}") for key, each in self.retuned.items()}
         for effect, table in self.effects.items():
             if not table:
@@ -379,22 +371,19 @@ class DiagnosisResult:
             for key, value in table.items():  # of an axis by itself `updated_text` knows the keys
                 written = key_in_file(effect, key, quantities) if quantities.per_kilogram else key
                 values[f"effects.{effect}.{written}"] = _rounded(value)
-        entry = {
-            "date": when,
-            "started_from": source.stem,
-            "data": list(data),
-            "intervals_90_percent": {
+        entry = origin.table(
+            intervals_90_percent={
                 quantities.key(n): f"{quantities.scale(n) * e.low:.4g} to {quantities.scale(n) * e.high:.4g}"
                 for n, e in self.intervals.items()
             },
-            "gap_nrms_before": float(f"{gap.before:.4g}"),
-            "gap_nrms_after": float(f"{gap.after:.4g}"),
-            "gap_nrms_noise": float(f"{gap.noise:.4g}"),
-            "held_out_nrms_before_after": [float(f"{x:.4g}") for x in gap.elsewhere],
-        }
+            gap_nrms_before=float(f"{gap.before:.4g}"),
+            gap_nrms_after=float(f"{gap.after:.4g}"),
+            gap_nrms_noise=float(f"{gap.noise:.4g}"),
+            held_out_nrms_before_after=[float(f"{x:.4g}") for x in gap.elsewhere],
+        )
         if self.search.dominant is not None:
             entry["explains_of_the_gap_elsewhere"] = float(f"{self.search.dominant.explained:.3g}")
-        return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+        return updated_text(Path(origin.start.path), values, name=name, provenance={"diagnosed": entry})
 
 
 def file_key(name: str, quantities: Quantities) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from math import inf
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -89,8 +88,7 @@ class Diagnosis(DiagnosisResult, Result):
     def file_text(self) -> str:
         """Return the text of the improved machine file."""
         assert self.output is not None
-        hashes, today = [hash_of(path) for path in self.runs], date.today().isoformat()
-        text = self.better_file(Path(self.problem.machine.path), self.output.stem, hashes, today)
+        text = self.better_file(self.output.stem, [hash_of(path) for path in self.runs])
         check_text(text, str(self.output))
         return text
 

@@ -44,6 +44,10 @@ class Origin:
         intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
         return f"identified {self.day} by ffcomp identify {verb}; 90 % interval {intervals}"
 
+    def table(self, **more: Any) -> dict[str, Any]:
+        """Return the table of a file's `[provenance]`, with more that a verb states."""
+        return {"date": self.day, "started_from": Path(self.start.path).stem, "data": list(self.data), **more}
+
     def text_of(
         self,
         parameters: Mapping[str, Estimate | Sequence[Estimate]],
@@ -62,8 +66,7 @@ class Origin:
         least = {key: SMALLEST_SD if key.startswith("axes.") else 0.0 for key in by_key}
         uncertainty = {key: float(f"{max(least[key], spread):.2g}") for key, spread in spreads.items()}
         notes = {key: self.note(each, verb) for key, each in by_key.items()}
-        table = {"date": self.day, "started_from": Path(self.start.path).stem, "data": list(self.data), **identified}
-        sources = {**notes, **(provenance or {}), "identified": table}
+        sources = {**notes, **(provenance or {}), "identified": self.table(**identified)}
         values |= others or {}
         return updated_text(Path(self.start.path), values, name=self.name, uncertainty=uncertainty, provenance=sources)
 
@@ -315,9 +318,6 @@ def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
 def hash_of(path: Path) -> str:
     """Return a file's name with the hash of its content, for provenance."""
     return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
-
-
-# ---- machine files: the starting file's text with values, uncertainties and provenance -----------
 
 
 def _rounded(estimate: Estimate) -> float:

@@ -46,7 +46,7 @@ def asked(folder: Path, *names: str) -> tuple[PrinterProblem, Diagnosis]:
 def written(folder: Path, *names: str) -> Path:
     _, found = asked(folder, *names)
     path = folder / ("+".join(names) + ".toml")
-    text = DiagnosisResult(search=found).better_file(folder / "owner.toml", "better", [], "today")
+    text = DiagnosisResult(search=found).better_file("better", [])
     path.write_text(text, encoding="utf-8")
     return path
 

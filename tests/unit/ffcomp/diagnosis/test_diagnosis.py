@@ -54,7 +54,7 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     told = DiagnosisResult(search=found)
     assert told.gap.after < 0.2 * told.gap.before and told.found[0].confidence > 0.99
     better = tmp_path / "better.toml"
-    better.write_text(told.better_file(TRUTH, "better", ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
+    better.write_text(told.better_file("better", ["x.csv sha256:0"]), encoding="utf-8")
     machine = load_machine(better)
     assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
     closed = locate_residual(

@@ -96,7 +96,7 @@ def test_what_is_hidden_is_named_and_the_better_file_closes_the_gap(
     told = DiagnosisResult(search=found)
     said, true = (np.broadcast_to(each, 3)[:2] for each in (told.parameters(name)[key].value, truth))  # z rests
     np.testing.assert_allclose(said, true, rtol=0.15, atol=0.03)
-    text = told.better_file(Path(machine.path), "better", ["x.csv sha256:0"], "2026-11-22")
+    text = told.better_file("better", ["x.csv sha256:0"])
     (tmp_path / "better.toml").write_text(text, encoding="utf-8")
     closed = measure_gap(load_machine(tmp_path / "better.toml"), runs)
     assert closed.residual.total.nrms == pytest.approx(told.gap.after, rel=0.05)
