@@ -275,10 +275,10 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
 
     A form has other numbers free: its usual shape, a number for each tower, a law that contains it.
     """
-    share = search.settings.reshaped_share
     while leaves_excess(search.estimation, h.fit) and search.may_go_on:
+        share = 1 - search.settings.left if _inexact(search, h) else search.settings.reshaped_share
         best = h
-        for start in _richer(search, h):
+        for start in _richer(search, h, share):
             fitted = continue_fit(search.estimation, start, search.progress, ", in another form", h.machine_jacobian)
             if significant(fitted.fit, best.fit, search.settings, share):
                 best = fitted
@@ -288,7 +288,7 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
     return h
 
 
-def _richer(search: Search, h: Hypothesis) -> list[Hypothesis]:
+def _richer(search: Search, h: Hypothesis, share: float) -> list[Hypothesis]:
     """Return the most promising starts with one effect in a form with more numbers.
 
     What a form adds begins where it helps most, with everything else retuned to first order; one that promises less
@@ -300,7 +300,7 @@ def _richer(search: Search, h: Hypothesis) -> list[Hypothesis]:
         if start.effect_count > h.effect_count:
             begun.append(_best_start(part, start, h))
     now = part.fit.chi_squared + float(part.fit.z @ (part.fit.prior * part.fit.z))
-    enough = now - settings.reshaped_share * max(now - len(part.fit.residual), 0.0) / 2
+    enough = now - share * max(now - len(part.fit.residual), 0.0) / 2
     return [start for cost, start in sorted(begun, key=lambda each: each[0])[: settings.forms] if cost < enough]
 
 
@@ -328,12 +328,10 @@ def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, 
 def _other_forms(search: Search, h: Hypothesis) -> list[tuple[Candidate, ...]]:
     """Return the effects with one of them in another form, or by another law of its cause where that is asked for."""
     found: list[tuple[Candidate, ...]] = []
-    inexact = _inexact(search, h)
     for effect in h.effects:
-        alike = [
+        laws = [
             c for c in search.estimation.problem.candidates if CATALOGUE[c.name].cause == CATALOGUE[effect.name].cause
         ]
-        laws = [c for c in alike if not inexact or c.name == effect.name]
         kinds = [
             form for c in laws for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
         ]
