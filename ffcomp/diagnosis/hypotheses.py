@@ -155,13 +155,13 @@ def competing_with(
 
 
 def leaves_excess(estimation: EstimationProblem, fitted: Fit) -> bool:
-    """Tell whether the residual stands above the noise, altogether or in any observation, by more than chance may do.
+    """Tell whether the residual stands above the noise by more than chance may do.
 
-    The mean square of n rows of noise is one, give or take √(2/n): a short window stands out by chance alone.
+    The mean square of n rows of noise is one, give or take √(2/n).
     """
-    parts = [fitted.residual, *(fitted.residual[rows] for rows in estimation.whiten.rows)]
-    chance = estimation.settings.chance_sd
-    return any(float(r @ r) / len(r) - 1 > max(estimation.tolerance, chance * np.sqrt(2 / len(r))) for r in parts)
+    rows = len(fitted.residual)
+    by_chance = estimation.settings.chance_sd * np.sqrt(2 / rows)
+    return fitted.chi_squared / rows - 1 > max(estimation.tolerance, by_chance)
 
 
 # ---- messages ------------------------------------------------------------------------------------
