@@ -253,7 +253,10 @@ def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypoth
 
 
 def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first."""
+    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first.
+
+    Where a law explains all, no richer one of its cause is looked for.
+    """
     ranked = distinct(likeliest(children))
     far = search.settings.near**2  # of quick fits, which are rough
     chosen = [h for h in ranked[: search.settings.width] if comparable(h, ranked[0], far, search.settings)]
@@ -266,8 +269,12 @@ def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
     for h in chosen:
         if not fitted or search.may_go_on:
             fitted.append(continue_fit(search.estimation, h, search.progress))
-    fitted, near = likeliest(fitted), search.settings.near
-    return likeliest([reshape(search, h) if comparable(h, fitted[0], near, search.settings) else h for h in fitted])
+    fitted, beam = likeliest(fitted), list[Hypothesis]()
+    for h in fitted:
+        near = comparable(h, fitted[0], search.settings.near, search.settings)
+        by_a_law = any(other.causes == h.causes and not leaves_excess(search.estimation, other.fit) for other in beam)
+        beam.append(reshape(search, h) if near and not by_a_law else h)
+    return likeliest(beam)
 
 
 def reshape(search: Search, h: Hypothesis) -> Hypothesis:
