@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.diagnosis.observations import PLACES_APART_MM
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, with_effects
@@ -26,6 +27,7 @@ from models.printer.one_axis import axis_effects
 BOTH = 9.0  # in place of an angle: alike in x and y
 USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
 RESTS_MM = 0.05  # an actuator that moves less rests
+SPAN_MM = 100.0  # of a printer's travel at least, of which recordings may use less
 PROBE = 0.1  # of a usual size: the signature of an axis' effect is taken there
 IN_FILE = "file."  # prefix of the sizes of effects that the file states: retuned like its other numbers
 WHOLE = "whole"  # the one parameter of an effect that is there or not
@@ -176,29 +178,38 @@ def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozens
     return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
 
 
-def _travel(places: Sequence[FloatArray]) -> tuple[float, float]:
-    """Return the ends of what was travelled, mm; `places` : (n, k) of what moves."""
+def _travel(places: Sequence[FloatArray]) -> tuple[float, float, float]:
+    """Return the ends of what was travelled, mm, and where a search for a centre begins.
+
+    That is the middle, where the effect changes nothing on average, as a number of the file does; but where all is
+    recorded at one place, away from it: there the effect is no more than such a number.
+
+    Parameters
+    ----------
+    places : (n, k) of what moves, in each recording.
+    """
     ends = np.array([(each.min(axis=0), each.max(axis=0)) for each in places])
     first, last = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
     moves = last - first > RESTS_MM
-    return (float(first[moves].min()), float(last[moves].max())) if moves.any() else (0.0, 0.0)
+    low, high = (float(first[moves].min()), float(last[moves].max())) if moves.any() else (0.0, 0.0)
+    one_place = np.ptp(ends.mean(axis=1), axis=0).max() < PLACES_APART_MM
+    return low, high, high + SPAN_MM if one_place else (low + high) / 2
 
 
 def within_travel(
-    candidate: Candidate, longest_mm: float, travels: Mapping[str, tuple[float, float]]
+    candidate: Candidate, longest_mm: float, travels: Mapping[str, tuple[float, float, float]]
 ) -> Candidate | None:
-    """Limit a pitch to half a travel, and a centre to one travel beyond its ends; None if no pitch is left.
+    """Limit a pitch to half a travel, and a centre to one travel beyond its ends, or 100 mm; None if no pitch is left.
 
-    With less than two periods nothing repeats; what changes about a place far beyond the ends is the same all along. A
-    search for a centre begins in the middle: there the effect changes nothing on average, as a number of the file does.
+    With less than two periods nothing repeats; what changes about a place far beyond the ends is the same all along.
     """
 
     def placed(n: Parameter) -> Parameter:
         key = n.name.rpartition(".")[2]
         if key in travels:
-            first, last = travels[key]
-            width = max(last - first, RESTS_MM)
-            return Parameter(n.name, (first + last) / 2, width, first - width, last + width)
+            first, last, start = travels[key]
+            width = max(last - first, SPAN_MM)
+            return Parameter(n.name, start, width, first - width, last + width)
         if key == "pitch_mm":
             return replace(n, start=min(n.start, longest_mm), high=min(n.high, longest_mm))
         return n
