@@ -68,7 +68,7 @@ FINDINGS = {
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Diagnosis:
+class Outcome:
     """The verdict, and everything it rests on."""
 
     verdict: str  # "effects", "none" or "unknown"
@@ -147,7 +147,7 @@ def diagnose(
     budget: float | None = None,
     settings: SearchSettings = SETTINGS,
     trace: Trace | None = None,
-) -> Diagnosis:
+) -> Outcome:
     """Find the effects that are missing from the problem's machine, if any.
 
     Parameters
@@ -172,7 +172,7 @@ def diagnose(
     return concluded
 
 
-def _corrected_noise(result: Diagnosis) -> NoiseFloor | None:
+def _corrected_noise(result: Outcome) -> NoiseFloor | None:
     """Return the noise that the residual shows where a guessed floor is too high, or too low; None where it is right.
 
     Too low it is where nothing explains a residual that is the same in every window: a sensor's noise has a colour.
@@ -219,7 +219,7 @@ def _diagnosed(
     trace: Trace,
     progress: Progress,
     least_density: Mapping[str, float | FloatArray],
-) -> Diagnosis:
+) -> Outcome:
     progress(Stage(1, "estimating the noise"))
     if noise.origin == ABOVE:
         progress("no repeats: the noise floor is taken from above the model's band")
@@ -232,7 +232,7 @@ def _diagnosed(
     filed = linearised(estimation, problem.parameters, np.zeros(len(problem.parameters)))
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, small_gain=QUICK_GAIN / 10)
     progress(f"the machine's own parameters alone: {error_left(base)}")
-    none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
+    none = Outcome(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
     fault = fault_of_recordings(estimation, problem.simulate({}), base)
     if fault is not None:
         return replace(none, verdict="unknown", finding="recording", fault=fault)
@@ -272,7 +272,7 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
 # ---- the verdict ---------------------------------------------------------------------------------
 
 
-def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progress: Progress) -> Diagnosis:
+def _with_a_rest(none: Outcome, searched: _Searched, tested: Outcome, progress: Progress) -> Outcome:
     """Name the effect that holds most of the discrepancy, if one does; else leave the verdict as it is."""
     dominant = dominant_effect(searched.estimation, searched.base, tested.tried, progress)
     if dominant is None:
@@ -285,7 +285,7 @@ def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progre
     return replace(alone, verdict="unknown", named=None, dominant=dominant, rejections=rejections)
 
 
-def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Progress) -> Diagnosis:
+def _tested(none: Outcome, searched: _Searched, best: Hypothesis, progress: Progress) -> Outcome:
     """Put the best hypothesis to the acceptance tests."""
     estimation, tried = none.estimation, searched.selection.tried
     intervals = _proven_intervals(none, best, progress)
@@ -312,7 +312,7 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     )
 
 
-def _proven_intervals(none: Diagnosis, best: Hypothesis, progress: Progress) -> dict[str, Estimate]:
+def _proven_intervals(none: Outcome, best: Hypothesis, progress: Progress) -> dict[str, Estimate]:
     """Return the intervals, narrowed where they include no effect although the fit without it is far worse."""
     intervals = intervals_of(none.estimation, best.fit)
     for c in best.effects:
@@ -323,7 +323,7 @@ def _proven_intervals(none: Diagnosis, best: Hypothesis, progress: Progress) -> 
     return intervals
 
 
-def _concluded(result: Diagnosis) -> Diagnosis:
+def _concluded(result: Outcome) -> Outcome:
     """Judge what a search returned: claim no more than the noise and the places left out allow."""
     if result.fault is not None:
         return result
@@ -345,7 +345,7 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     return replace(result, finding="unproven" if explained else "unexplained", file_off=_file_off(result))
 
 
-def _nothing(result: Diagnosis) -> Diagnosis:
+def _nothing(result: Outcome) -> Outcome:
     """Say `none` only where noise leaves room to see something; test what was retuned where it was not fitted."""
     estimation = result.estimation
     if noise_share(estimation.whiten, estimation.measured) > estimation.settings.loud_noise:
@@ -353,7 +353,7 @@ def _nothing(result: Diagnosis) -> Diagnosis:
     return replace(result, held_out=hold_out(estimation, result.base, result.base))
 
 
-def _file_off(result: Diagnosis) -> Fit | None:
+def _file_off(result: Outcome) -> Fit | None:
     """Fit the machine's own numbers alone, far beyond what the file allows, where they may be what is wrong.
 
     A stiffness or a mass may be named because another of the file's numbers is wrong, and where several are, nothing

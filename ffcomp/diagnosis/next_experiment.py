@@ -22,7 +22,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.diagnosis import Outcome
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem
 from ffcomp.diagnosis.noise import whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
@@ -109,7 +109,7 @@ class _Trial:
     differences: Sequence[float]
 
 
-def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separation]:
+def separations(problem: PrinterProblem, diagnosis: Outcome) -> list[Separation]:
     """Return the recording that best separates each rival, which fits as well, from the best explanation."""
     rivals = dict(islice(rivals_of(diagnosis).items(), 2))
     if diagnosis.best is None or not rivals:
@@ -139,7 +139,7 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separatio
 # ---- the rivals ----------------------------------------------------------------------------------
 
 
-def rivals_of(diagnosis: Diagnosis) -> Rivals:
+def rivals_of(diagnosis: Outcome) -> Rivals:
     """Return what fits as well as the best explanation, where that explains most of the discrepancy.
 
     Other effects that were fitted and are as likely; then the same with one more, where that is likelier but removes
@@ -159,7 +159,7 @@ def rivals_of(diagnosis: Diagnosis) -> Rivals:
     return rivals | {(s.candidate.name,): _with(diagnosis, s) for s in like}
 
 
-def _with(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
+def _with(diagnosis: Outcome, screened: Screened) -> dict[str, float]:
     """Return the base fit's values with an effect, as large as it was estimated."""
     amplitudes = {
         a.name: float(np.clip(a.start + a.sd * x, a.low, a.high))
@@ -171,7 +171,7 @@ def _with(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
 # ---- the recordings that may be made -------------------------------------------------------------
 
 
-def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Rivals) -> list[_Trial]:
+def _trials(problem: PrinterProblem, diagnosis: Outcome, best: Fit, rivals: Rivals) -> list[_Trial]:
     """Try every kind at the centre, then the best kind at other places, higher, and softer."""
     machine, signals, rate = problem.machine, problem.observations[0].signals, problem.observations[0].rate_hz
     known = best.information / best.overdispersion

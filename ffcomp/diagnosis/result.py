@@ -12,7 +12,7 @@ import numpy as np
 
 from ffcomp.diagnosis.acceptance import undetermined
 from ffcomp.diagnosis.candidates import IN_FILE, effect_tables, file_value
-from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.diagnosis import Outcome
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import Problem
@@ -162,7 +162,7 @@ class DiagnosisResult:
         compared="compared",
     )
 
-    search: Diagnosis
+    search: Outcome
     separations: Sequence[Separation] = ()
 
     @property

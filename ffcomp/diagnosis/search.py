@@ -127,7 +127,7 @@ def _is_trace(search: Search, h: Hypothesis) -> bool:
 
 
 def _inexact(search: Search, h: Hypothesis) -> bool:
-    """Tell whether a law with more numbers has nothing to explain: no more is left than any formula may leave.
+    """Tell whether no more is left than the formula of an effect may leave, so that a richer one must take all of it.
 
     That is a share of what the least of the effects does at the fitted numbers, before any retuning hides a part.
     """

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.diagnosis import Outcome, diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.where import overlays_of
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @cache
-def asked(folder: Path, *names: str) -> tuple[PrinterProblem, Diagnosis]:
+def asked(folder: Path, *names: str) -> tuple[PrinterProblem, Outcome]:
     runs = [read_recording(path) for path in sorted((folder / "runs").iterdir())]
     plant = PrinterProblem(load_machine(folder / "owner.toml"), runs, names)
     return plant, diagnose(plant)
@@ -115,7 +115,7 @@ def recordings_of(truth: Machine, places: Places) -> list[Recording]:
 
 def found(
     candidates: tuple[str, ...], places: Places = PLACES, **hidden: dict[str, Any]
-) -> tuple[PrinterProblem, Diagnosis]:
+) -> tuple[PrinterProblem, Outcome]:
     truth = believed()
     for name, table in hidden.items():
         truth = with_effect(truth, name, **table)

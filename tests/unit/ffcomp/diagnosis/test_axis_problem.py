@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
-from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.diagnosis import Outcome, diagnose
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
@@ -69,7 +69,7 @@ def test_laws_of_one_cause_are_told_apart_or_told_together(law: str, hidden: dic
     assert {h.names[0] for h in answer.competing} <= {each.name for each in said.confounded_with}
 
 
-def found(machine: Machine, *names: str, **effects: Any) -> Diagnosis:
+def found(machine: Machine, *names: str, **effects: Any) -> Outcome:
     return diagnose(
         AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
-from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.diagnosis import Outcome, diagnose
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from models.file import load_plant
@@ -31,7 +31,7 @@ def cut(run: AxisRun, rows: slice) -> AxisRun:
     return replace(run, time_s=run.time_s[rows], drive=run.drive[rows], position=position)
 
 
-def left(found: Diagnosis) -> float:
+def left(found: Outcome) -> float:
     return float(found.final.chi_squared) / len(found.final.residual) - 1
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.diagnosis import Outcome, diagnose
 from ffcomp.diagnosis.next_experiment import AFTER_S, BEFORE_S, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult
@@ -77,7 +77,7 @@ def recorded(
     return found
 
 
-def asked(machine: Machine, runs: Sequence[Recording]) -> tuple[Diagnosis, DiagnosisResult]:
+def asked(machine: Machine, runs: Sequence[Recording]) -> tuple[Outcome, DiagnosisResult]:
     """Diagnose runs, with what separates the explanations."""
     problem = PrinterProblem(machine, runs, NAMES)
     found = diagnose(problem)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
-from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.diagnosis import Outcome, diagnose
 from ffcomp.diagnosis.observations import EXCERPT_MOTIONS, EXCERPT_S, informative_recordings
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Observation
@@ -48,7 +48,7 @@ def problem(names: Sequence[str] = ("coulomb_friction", "belt_hardening", "guide
 
 
 @cache
-def searched(budget: float | None) -> tuple[AxisProblem, Diagnosis]:
+def searched(budget: float | None) -> tuple[AxisProblem, Outcome]:
     asked = problem()
     return asked, diagnose(asked, budget=budget)
 
