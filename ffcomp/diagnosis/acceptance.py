@@ -56,8 +56,7 @@ def rejections(
 def retuned_too_far(fitted: Fit, chance_sd: float) -> bool:
     """Tell whether the file's numbers were retuned further, all together, than chance puts them off.
 
-    Each may be off by a little; where all of them must be, something else is missing, which they stand in for. Squares
-    of standard deviations add up to χ².
+    Where all of them must be off by a little, something else is missing, which they stand in for: their squares are χ².
 
     Parameters
     ----------

@@ -141,8 +141,7 @@ def _inexact(search: Search, h: Hypothesis) -> bool:
 
 def _chosen(search: Search, parents: Sequence[Fit]) -> Sequence[int]:
     """Return the motions in which hypotheses of a level are compared: where the likeliest parent leaves most."""
-    likeliest_fit = min(parents, key=lambda each: each.evidence)
-    return loudest_motions(search.estimation, likeliest_fit.residual)
+    return loudest_motions(search.estimation, min(parents, key=lambda each: each.evidence).residual)
 
 
 def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypothesis]:
@@ -161,8 +160,8 @@ def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypo
 
 
 def _loudest(search: Search, fitted: Fit, chosen: Sequence[int] | None = None) -> Subset:
-    """Return the motions that hold most of a fit's residual, or chosen ones, simulated coarsely."""
-    quick, _ = quickest(search.estimation, fitted.values)
+    """Return the motions that hold most of a fit's residual, or chosen ones, coarsely where that is enough."""
+    quick = quickest(search.estimation, fitted.values)[0]
     return subset_of(quick, fitted, chosen) or Subset(quick, fitted)
 
 
