@@ -43,15 +43,15 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
                 yield f"It is unproven at {unproven}, where little of the gap is."
             yield from _beyond(result)
             yield from _file_off(result)
-        case "dominant" if most is not None and nearest is not None:
+        case "dominant" if most is not None:
             of = f"the gap in {most.signal}" if most.signal else "the gap"
             yield (
                 f"There is a gap of {size}. Most {f'of {of}' if most.signal else 'of it'} is "
                 f"{_in_family(most.effect.name)}: where it was not fitted to, it explains {most_of(most.explained)} of "
                 f"{of}."
             )
-            because = "; ".join(nearest.because)
-            yield f"A rest of {left} of {_compared(result)} stays, which nothing known explains: {because}."
+            rest = f"A rest of {left} of {_compared(result)} stays, which nothing known explains"
+            yield f"{rest}: {'; '.join(nearest.because)}." if nearest is not None else f"{rest}."
             if most.rivals:
                 shares = [f"{joined(names)} would explain {percent(max(share, 0.0))}" for names, share in most.rivals]
                 yield f"Of other effects {joined(shares)} there."
