@@ -100,10 +100,7 @@ def not_installed(package: str) -> FfcompError:
 def missing_extras_explained() -> Iterator[None]:
     """Say which extra brings a package that is missing; also a decorator.
 
-    Raises
-    ------
-    FfcompError
-        In place of the ModuleNotFoundError of a package of EXTRAS.
+    Raises FfcompError in place of the ModuleNotFoundError of a package of EXTRAS.
     """
     try:
         yield
@@ -121,12 +118,7 @@ INPUT_ERRORS = (FfcompError, GcodeError, MachineFileError, OSError)
 def explain(error: FfcompError | GcodeError | MachineFileError | OSError, path: str = "A file") -> tuple[str, int]:
     """Return the sentence that a user is shown for one of INPUT_ERRORS, and the exit code.
 
-    Parameters
-    ----------
-    error : one of INPUT_ERRORS
-        The error.
-    path : str
-        The file to name where an OSError names none.
+    path : the file to name where an OSError names none
     """
     if isinstance(error, OSError):
         return f"{error.filename or path}: {error.strerror or error}.", 2
@@ -141,10 +133,7 @@ def interrupts_restored() -> Iterator[None]:
     A signal's handler may run while compiled code calls back into Python. What it raises then comes out as the cause of
     a SystemError, and nobody would take that for Ctrl-C or the request to end.
 
-    Raises
-    ------
-    KeyboardInterrupt, SystemExit
-        As the handler raised them.
+    Raises KeyboardInterrupt, SystemExit as the handler raised them.
     """
     try:
         yield

@@ -189,10 +189,7 @@ class Declared:
 
         A text where a number belongs is read as on the command line.
 
-        Raises
-        ------
-        RequestError
-            If there are none, or a text is no number.
+        Raises RequestError if there are none, or a text is no number.
         """
         plain, single = self.plain_type, isinstance(value, str | PathLike) or not hasattr(value, "__len__")
         if isinstance(value, str) and plain in (int, float):
@@ -316,8 +313,6 @@ silent = _Silent()
 def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     """Make the Python function of a verb: its parameters are the request's, its text is the worker's.
 
-    Parameters
-    ----------
     request : class of the request
     work : takes a request, does the work
     """

@@ -182,8 +182,6 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
     On Klipper this stops the motion for a moment. Without an [input_shaper] section the host only reports an unknown
     command.
 
-    Parameters
-    ----------
     on : lines that switch it on, if known: on Klipper they name its axes
     """
     dialect = DIALECTS[flavor]
@@ -197,8 +195,6 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
 def shaper_on(flavor: str, kind: str, hz: tuple[float, float], damping: float) -> list[bytes]:
     """Lines that set the firmware's own input shaper.
 
-    Parameters
-    ----------
     kind : of `Dialect.shapers`
     hz : of x and y; RepRapFirmware has one frequency, that of x
     """

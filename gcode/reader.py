@@ -74,14 +74,9 @@ def read_parts(
     `Program.first_line` is its position in the file. Its first frame is the one in force there. Errors and warnings use
     the file's line numbers. A file without lines has no parts.
 
-    Parameters
-    ----------
-    blocks : bytes of any sizes, cut anywhere
-        The file: `iter(lambda: file.read(1 << 20), b"")`.
-    flavor : str
-        "klipper", "marlin" or "reprapfirmware"; `gcode.dialects.sign_by_ends` finds it without the whole file.
-    part_bytes : int
-        Size of a part, but for the rest of its last line. 1 MiB are some 30,000 lines.
+    blocks : the file in bytes of any sizes, cut anywhere: `iter(lambda: file.read(1 << 20), b"")`
+    flavor : "klipper", "marlin" or "reprapfirmware"; `gcode.dialects.sign_by_ends` finds it without the whole file
+    part_bytes : size of a part, but for the rest of its last line; 1 MiB are some 30,000 lines
 
     Errors are those of `read_program`, raised when their part is read.
     """

@@ -185,8 +185,6 @@ def updated_text(
 ) -> str:
     """Return the text of `source` with numbers replaced; comments, order and everything else stay.
 
-    Parameters
-    ----------
     values : `table.key` or, for one element of a list, `table.key[i]` -> the new value; in the file's units, or, for an
         axis with units of its own, in internal units.
     uncertainty, provenance : entries to add to those tables, replacing what is there under the same key.

@@ -51,8 +51,6 @@ class KernelCache:
 def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | None, waiting: list[Any]) -> Any:
     """Return the function as numba compiles it.
 
-    Parameters
-    ----------
     options : of `numba.njit`
     sources : keep the code on disk until this changes; empty: until the function's file changes; None: do not keep it
     waiting : functions that are called, once, before numba compiles

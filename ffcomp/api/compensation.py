@@ -22,8 +22,6 @@ def compensate_print(
 ) -> CompensatedFile:
     """Compensate a single print; one that is compensated already is left alone.
 
-    Parameters
-    ----------
     target : the file that is written; None: nothing is
     name : the file, as messages call it; "": its path
     advice : warnings about how the file was made

@@ -35,10 +35,7 @@ def load_machine(machine: str | Path | Machine) -> Machine:
 def machine_of(stamp: Stamp, file: Path) -> Machine:
     """Find a stamp's machine: in the library, the user's folder, next to the print, or here.
 
-    Raises
-    ------
-    MachineFileError
-        If none of these files has the stamp's hash.
+    Raises MachineFileError if none of these files has the stamp's hash.
     """
     near = [path for folder in (file.parent, Path.cwd()) for path in sorted(folder.glob("*.toml"))]
     return read_machine(find_by_sha256(stamp.sha256, stamp.machine, near).resolve())

@@ -103,10 +103,7 @@ def changes_of(machine: Machine) -> list[Change]:
 def expected_signals(machines: Sequence[Machine], experiments: Sequence[Experiment]) -> list[FloatArray]:
     """Simulate what the sensor feels, of each experiment (m, n, 3) m/s² at its rows, thinned as recordings are.
 
-    Raises
-    ------
-    UnreachableError
-        If a machine cannot execute a motion.
+    Raises UnreachableError if a machine cannot execute a motion.
     """
     times = [np.arange(-SPARE_S, each.duration_s + SPARE_S, 1.0 / SIMULATED_HZ) for each in experiments]
     paths = [each.motion.nozzle(t) for each, t in zip(experiments, times, strict=True)]

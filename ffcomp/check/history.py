@@ -61,10 +61,7 @@ def read_history(path: Path) -> list[Check]:
 def read_lines(path: Path, schema: str, what: str, read: Callable[[dict[str, Any]], T]) -> list[T]:
     """Read a history of lines of JSON, the oldest first; none where there is no file.
 
-    Raises
-    ------
-    MeasurementError
-        For a file that is damaged, or none of ours.
+    Raises MeasurementError for a file that is damaged, or none of ours.
     """
     entries = list[T]()
     try:

@@ -55,8 +55,6 @@ def compare(
 ) -> Comparison:
     """Evaluate every method on one print; NothingToDo if the chosen part is too short.
 
-    Parameters
-    ----------
     printed : the print, on the machine whose file the methods use
     plant : the printer that evaluates, with the same kinematics; None: the machine itself
     quality_um : bound of the contour error's p99, where the methods' speeds are compared; 0: they are not

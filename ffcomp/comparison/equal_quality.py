@@ -39,8 +39,6 @@ def equal_qualities(
 
     All methods are tried at once, each at an acceleration of its own: their printers go side by side.
 
-    Parameters
-    ----------
     slices : evaluated at every acceleration; half a minute of print is enough
     bound_um : of the contour error's 99th percentile
     p99_um : by method, at the print's acceleration: where the search begins

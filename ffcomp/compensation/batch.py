@@ -42,16 +42,11 @@ def compensate_files(
 ) -> Generator[FileResult, None, None]:
     """Compensate files and yield each result when it is ready. A file that fails does not stop the others.
 
-    Parameters
-    ----------
     targets : where each goes, None for nowhere
     request : with a scheduler, the workers of that cluster do the work; they need not see the files
     progress : called with the bytes of input that are done
 
-    Raises
-    ------
-    RequestError
-        If two files have one target, or one is the target of another.
+    Raises RequestError if two files have one target, or one is the target of another.
     """
     check_targets(files, targets)
     sizes, done = [size_of(file) for file in files], 0

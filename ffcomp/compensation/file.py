@@ -36,26 +36,13 @@ def compensate_file(
 ) -> CompensatedFile:
     """Compensate a file. With several jobs call it within `workers`.
 
-    Parameters
-    ----------
-    source : bytes or Path
-        A file of any kind, or its content; the target becomes one of the same kind.
-    path : str
-        The file, as the user named it.
-    machine : Machine
-        What it is compensated for.
-    request : CompensateOptions
-        How it is compensated.
-    target : Path or None
-        Is replaced at the end or not at all; None: nothing is written.
-    bed : Bed or None
-        The slicer's, if it has said it otherwise than in the file.
-    inverse : Settings or None
-        Of the inverse, where a comparison has chosen them.
-    jobs : int
-        Processes that work at it.
-    progress : callable
-        Called with the share of the file that is done, 0 to 1.
+    source : a file of any kind, or its content; the target becomes one of the same kind
+    path : the file, as the user named it
+    target : is replaced at the end or not at all; None: nothing is written
+    bed : the slicer's, if it has said it otherwise than in the file
+    inverse : settings of the inverse, where a comparison has chosen them
+    jobs : processes that work at it
+    progress : called with the share of the file that is done, 0 to 1
     """
     still_the_same = unchanged(source)
     with opened(source, path) as container:

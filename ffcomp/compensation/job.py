@@ -84,8 +84,6 @@ class Job:
     def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Lines:
         """Return the compensated file, stamped in head and tail.
 
-        Parameters
-        ----------
         progress : called with the share of the file that is done, 0 to 1
         folder : holds a temporary file; None: the system's folder
         """

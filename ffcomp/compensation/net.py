@@ -40,8 +40,6 @@ class Unsafe:
 def fault_of(model: InverseModel, moves: Moves, reference: Reference, vertices: FloatArray) -> str:
     """Return why a whole section's command must not be written; empty: it is safe.
 
-    Parameters
-    ----------
     moves : of the section
     reference : what the command was solved for
     vertices : (n + 1, 3) mm, the command at the reference's knots

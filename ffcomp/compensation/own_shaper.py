@@ -61,8 +61,6 @@ class OwnShaper:
 def own_shaper(keep: bool | None, machine: Machine, flavor: str) -> OwnShaper:
     """Decide what happens to the firmware's input shaper.
 
-    Parameters
-    ----------
     keep : True: leave it alone; False: switch it off, known or not; None: switch it off if the machine file has one
     flavor : of the print's firmware
     """
@@ -121,8 +119,6 @@ def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
     Where the print itself sets the shaper, it is switched off again before the next block, and the print's own setting
     is restored at the end.
 
-    Parameters
-    ----------
     pieces : of whole lines
     """
     command, sets_it = shaper.command, lines_of(shaper.command)

@@ -38,8 +38,6 @@ def compensated_sections(
 ) -> Iterator[Output]:
     """Yield a chunk's output section by section; its statistics add up to those of the chunk.
 
-    Parameters
-    ----------
     chunk : to be compensated
     context : of its file
     renderer : writes this chunk

@@ -36,16 +36,12 @@ def solutions(
 
     Each solution begins with the vibration that the one before it leaves, the first one at rest.
 
-    Parameters
-    ----------
     planned : a chunk's program
     model : the machine's inverse
     layers_before : layers of the file that have begun before this program
     extent : the part of the program that is written, if it begins or ends in motion
 
-    Raises
-    ------
-    LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
+    Raises LimitsError where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
     travelling = _linear(planned, model, layers_before, extent)
     if model.printer is not None:  # correct them by the whole printer, effects included

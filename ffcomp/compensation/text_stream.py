@@ -55,8 +55,6 @@ def with_times_retold(
 ) -> Iterator[bytes | Later]:
     """Rewrite the lines that state a time; a comment before each keeps the original time.
 
-    Parameters
-    ----------
     pieces : with every line that states a time, or begins a layer, as a `Timed` of its own
     planned_s : returns the planned duration of the print and of the original, s; called after the last piece
     embed : whether the comments are written

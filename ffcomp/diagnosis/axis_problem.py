@@ -334,8 +334,6 @@ class _Part:
 def likely_pitches(machine: Machine, shots: Sequence[Shots], band_hz: tuple[float, float], most: int) -> list[float]:
     """Return the pitches, mm, whose ripple explains most of what the file leaves, the best first.
 
-    Parameters
-    ----------
     shots : runs that are simulated from beginning to end; each motion once.
     """
     parts = [part for one in shots if (part := _part(machine, one, band_hz)) is not None]
@@ -356,8 +354,6 @@ def pitches_of_force(machine: Machine, shots: Sequence[Shots], most: int) -> lis
 
     None where no line stands out.
 
-    Parameters
-    ----------
     shots : runs whose force and place are known; each motion once.
     """
     axis = driven_axis(machine)

@@ -143,8 +143,6 @@ def _grid(starts: Iterable[tuple[str, Sequence[float]]]) -> tuple[dict[str, floa
 def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: Sequence[str]) -> list[Candidate]:
     """List the effects that the printer may lack and that these recordings could separate from its own numbers.
 
-    Parameters
-    ----------
     commands : (n, 3) mm of the carriages, of each recording
     names : the effects that are looked for
     """
@@ -184,8 +182,6 @@ def _travel(places: Sequence[FloatArray]) -> tuple[float, float, float]:
     That is the middle, where the effect changes nothing on average, as a number of the file does; but where all is
     recorded at one place, away from it: there the effect is no more than such a number.
 
-    Parameters
-    ----------
     places : (n, k) of what moves, in each recording.
     """
     ends = np.array([(each.min(axis=0), each.max(axis=0)) for each in places])
@@ -248,8 +244,6 @@ def _in_both(shape: Parameter) -> Parameter:
 def _shared(machine: Machine, effect: Effect, idle: frozenset[int], each: bool) -> Candidate:
     """Make the candidate of an effect.
 
-    Parameters
-    ----------
     each : a value for each tower that is not idle, or one that all share.
     """
     amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)]
@@ -320,8 +314,6 @@ def axis_candidates(
 ) -> tuple[Candidate, ...]:
     """List the effects that the axis may lack and that its signals could show.
 
-    Parameters
-    ----------
     pitches : mm, where a search for a ripple begins; none: evenly over the travel.
     lines : the same, mm, of several lines that were seen in a measured force.
     """

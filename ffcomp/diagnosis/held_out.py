@@ -119,8 +119,6 @@ def left_out(estimation: EstimationProblem, fitted: Fit, parts: Groups, retuned:
     Delays of its own recordings do not depend on the machine: no other recording determines them. But a late machine
     and late recordings are hard to tell apart, so that they are fitted to the group, and nothing else is.
 
-    Parameters
-    ----------
     retuned : the file's numbers are fitted to each group, too, within their uncertainties
     """
     ranked, residuals = quickest(estimation, fitted.values)[0], list[FloatArray]()

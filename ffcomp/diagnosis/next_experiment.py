@@ -208,8 +208,6 @@ def _differences(
 ) -> list[float]:
     """Return the rms difference of each rival's prediction from the best one's; zero where it has none.
 
-    Parameters
-    ----------
     information : (p, p) that the given runs have of the best one's parameters; None: it is not retuned
     """
     ours, *others = estimation.residuals([best.values, *rivals.values()])

@@ -62,8 +62,6 @@ def noise_grid(observations: Sequence[Observation]) -> FloatArray:
 def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:
     """Take the noise from repeats; without any, from what is left above the model's band.
 
-    Parameters
-    ----------
     simulated : (n, m) an observation with the machine file, if it is known already.
     """
     floor, known = noise_from_repeats(problem.observations), problem.least_density
@@ -105,8 +103,6 @@ def noise_from_residual(
 ) -> NoiseFloor:
     """Take white noise at the level of the residual above the model's band.
 
-    Parameters
-    ----------
     errors : (n, m) an observation, measured − simulated.
     """
     grid = noise_grid(observations)
@@ -139,8 +135,6 @@ def at_least(
     Friction, belts and play never have our formulas: by the noise of a laboratory's sensors every fit would fail, and
     better data would get the weaker answer.
 
-    Parameters
-    ----------
     least : of some signals, the density below which none is, unit²/Hz
     """
     held = {name: np.maximum(x, (least or {}).get(name, 0.0)) for name, x in floor.density.items()}

@@ -61,8 +61,6 @@ def _is_smooth(n: int) -> bool:
 def observation_of(machine: Machine, recording: Recording, command: FloatArray) -> Observation:
     """Thin a recording and put its signals in one array.
 
-    Parameters
-    ----------
     command : (n, 3) mm, carriages, thinned and cut as the recording is.
     """
     signals = (*recording.acceleration, *recording.position)
@@ -115,10 +113,8 @@ def clustered(positions: Sequence[Position]) -> list[Position]:
 def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
     """Return the carriages' command, (n, 3) mm; a nozzle command goes through the file's kinematics, as in firmware.
 
-    Raises
-    ------
-    MeasurementError
-        If this machine cannot execute the command, or the sensors move otherwise than they are named.
+    Raises MeasurementError if this machine cannot execute the command, or the sensors move otherwise than they are
+    named.
     """
     try:
         carriages = (

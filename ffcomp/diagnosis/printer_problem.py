@@ -231,8 +231,6 @@ def _steps(longest: float, rate_hz: float) -> tuple[float, int]:
 def _signals(machine: Machine | None, motion: PrinterMotion, names: Sequence[str], part: Part) -> FloatArray:
     """Return the sensor signals, (n, m), in the order of `names`, of the rows that are compared.
 
-    Parameters
-    ----------
     machine : whose sensors have effects; None: none of them has any.
     """
     rows, sensed = slice(part.first - part.last, None), motion.signals

@@ -211,16 +211,10 @@ class Problem(ABC):
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
-        """Simulate every observation, or those in `only`: (n, m) each.
+        """Simulate every observation, or those in `only`, (n, m) each; InfeasibleParameters where it cannot.
 
-        Parameters
-        ----------
         values : parameters by name; the others keep their values.
         coarse : quicker, with kinks rounded off: good enough to rank candidates.
-
-        Raises
-        ------
-        InfeasibleParameters
         """
 
     def stated(self, values: Mapping[str, float], name: str) -> float:

@@ -40,8 +40,6 @@ def recordings_of(
 ) -> list[Recorded]:
     """Read the recordings of a printer, captures of a plan included, or the runs of an axis.
 
-    Parameters
-    ----------
     plan, turn, progress : as `ffcomp.record.join.load_recordings` takes them
     """
     if not is_one_axis(plant):
@@ -76,12 +74,7 @@ def problem_of(plant: Machine, recordings: Sequence[Recorded], names: Sequence[s
 
 
 def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_repeats: bool) -> None:
-    """Refuse recordings that no diagnosis can rest on.
-
-    Raises
-    ------
-    MeasurementError
-    """
+    """Raise MeasurementError for recordings that no diagnosis can rest on."""
     check_alike(recordings)
     # a measured force is never the same twice, and an encoder shows its noise: such a run needs no repeat
     needless = all(isinstance(each, AxisRun) and each.by_force and each.position for each in recordings)
@@ -91,12 +84,7 @@ def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_r
 
 
 def check_alike(recordings: Sequence[Recorded]) -> None:
-    """Refuse recordings that are named as repeats of one experiment, and are none.
-
-    Raises
-    ------
-    MeasurementError
-    """
+    """Raise MeasurementError for recordings that are named as repeats of one experiment, and are none."""
     firsts: dict[str, Recorded] = {}
     for recording in recordings:
         first = firsts.setdefault(recording.repeat_of, recording)
@@ -130,12 +118,7 @@ def _another_command(first: Recorded, recording: Recorded) -> str:
 
 
 def check_repeats(recordings: Sequence[Recorded]) -> None:
-    """Refuse recordings without repeats, because the noise would be a guess.
-
-    Raises
-    ------
-    MeasurementError
-    """
+    """Raise MeasurementError for recordings without repeats, because the noise would be a guess."""
     lengths: dict[str, dict[str, int]] = {}
     for each in recordings:
         lengths.setdefault(each.repeat_of, {})[Path(each.source).name] = len(each.time_s)
@@ -156,12 +139,7 @@ def check_repeats(recordings: Sequence[Recorded]) -> None:
 
 
 def check_repeating(repeats: Sequence[Repeats]) -> None:
-    """Refuse repeats that differ by more than noise: what they differ by is no floor for anything.
-
-    Raises
-    ------
-    MeasurementError
-    """
+    """Raise MeasurementError for repeats that differ by more than noise: that is no floor for anything."""
     differing = [each for each in repeats if each.differ]
     if differing:
         raise MeasurementError(differing[0].files[0], [each.trouble() for each in differing])

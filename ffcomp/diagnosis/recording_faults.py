@@ -31,8 +31,6 @@ ONE_SIGNAL = 0.85  # of the discrepancy, in one signal of three or more: its sen
 def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> Fault | None:
     """Return a fault that makes any search pointless: a clipped sensor, or a shaper.
 
-    Parameters
-    ----------
     simulated : (n, m) an observation with the machine file.
     """
     return shaper_on(estimation, simulated, retuned) or clipped_sensor(estimation, simulated)

@@ -44,8 +44,6 @@ class Subset:
 def subset_of(estimation: EstimationProblem, fitted: Fit, chosen: Sequence[int] | None = None) -> Subset | None:
     """Return the motions in which most of a fit's residual is; None where that would hardly be quicker.
 
-    Parameters
-    ----------
     chosen : motions to take instead, so that fits of several hypotheses compare.
     """
     if estimation.only is not None:

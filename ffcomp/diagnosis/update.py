@@ -147,11 +147,8 @@ class UpdatedNumber:
 def update_files(request: UpdateRequest, progress: Progress = lambda _: None) -> Updated:
     """Update a machine file's numbers by recordings; write the file and a line of its history, or nothing.
 
-    Raises
-    ------
-    RequestError, MeasurementError, MachineFileError
-    NothingToDo
-        If the file is as good as what the recordings say.
+    Raises RequestError, MeasurementError or MachineFileError; NothingToDo if the file is as good as what the
+    recordings say.
     """
     machine = load_machine(request.machine)
     data = [hash_of(path) for path in request.data]

@@ -279,8 +279,6 @@ def residual_curves(
 ) -> list[ResidualCurve]:
     """Return for each quantity the curve of the signal where it holds most, the largest share first.
 
-    Parameters
-    ----------
     values : parameters of the simulation
     floor : noise of the problem's own signals; None: it is estimated
     """
@@ -378,8 +376,6 @@ def _mean_and_error(
 def _regime(at: FloatArray, rows: FloatArray, power: FloatArray, unit: str) -> str:
     """Return the part of a quantity's range, (k,), that holds most of a curve's power, but few of its rows.
 
-    Parameters
-    ----------
     rows, power : (k,) shares of each bin
     """
     size = np.abs(at)

@@ -106,18 +106,14 @@ def estimate(
 ) -> Estimate:
     """Plan a file as the firmware does, and add up its times. Memory does not grow with the file.
 
-    Parameters
-    ----------
     source : the file
     path : its name, for errors
     flavor : {"", "klipper", "marlin", "reprapfirmware"}, "" for what the machine file says, or else the file
     offset : (float, float), added to every position of a print that is not compensated yet, mm; None: as `compensate`
         chooses it
 
-    Raises
-    ------
-    GcodeError: If a line cannot be followed, or a position is out of the machine's reach.
-    NothingToDo: If nothing moves.
+    Raises GcodeError if a line cannot be followed, or a position is out of the machine's reach; NothingToDo if nothing
+    moves.
     """
     head, tail, _ = ends_of(source)
     stamp = find_stamp(head, tail)

@@ -232,8 +232,6 @@ class Statistics:
     def add(self, part: PlannedSlice, raw_s: Mapping[int, float] = MappingProxyType({})) -> None:
         """Count a slice's own moves and lines.
 
-        Parameters
-        ----------
         raw_s : mapping, durations of moves from an unknown position, s, by their line's index
         """
         layers, features, waits = self._read(part, raw_s)

@@ -52,8 +52,6 @@ def faster_program(
 ) -> FasterProgram:
     """Return a program, from rest to rest, as quick as the bound allows.
 
-    Parameters
-    ----------
     layers_before : layers of the file that have begun before this program
     feature : the feature at its start
     kept : (n,), moves that keep the slicer's motion whatever they are
@@ -151,8 +149,6 @@ def time_by_limit(
 ) -> dict[str, float]:
     """Return the time of the quicker motion that goes to each limit, s; together all of it.
 
-    Parameters
-    ----------
     cooled : (n,) moves that are slowed down for a layer too short
     seconds : of the whole plan, waits included
     """

@@ -223,8 +223,6 @@ class Segments:
     ) -> tuple[IntArray, FloatArray, FloatArray, BoolArray]:
         """Return which points end segments, when they are due, (k,) knots, where, (k, 3) mm, and which are fixed.
 
-        Parameters
-        ----------
         at : (n,) times of the points, in knots
         points : (n, 3) mm
         e : (n,) mm of filament
@@ -256,8 +254,6 @@ class Segments:
 
         Between them: the motors' limits that must be in force, (n,) mm/s; inf: those of the header.
 
-        Parameters
-        ----------
         points : (n + 1, 3) mm
         e : (n + 1,) mm of filament
         lasting : (n,) s that each segment should take

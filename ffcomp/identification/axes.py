@@ -39,14 +39,9 @@ def identify_axes(
 ) -> IdentifiedAxes:
     """Fit the modes of every measured axis, and what x and y exchange.
 
-    Parameters
-    ----------
     exchanging : whether the same belts move x and y, so that they may exchange motion
 
-    Raises
-    ------
-    MeasurementError
-        If nothing was, or no axis shows a resonance.
+    Raises MeasurementError if nothing was, or no axis shows a resonance.
     """
     answers, sentences = usable(responses)
     data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]

@@ -69,12 +69,7 @@ def fit_axis(
     name: str,
     progress: Callable[[str], None] = lambda _: None,
 ) -> OneAxisFit:
-    """Fit the axis' numbers to files of runs; its effects stay as the file has them.
-
-    Raises
-    ------
-    MeasurementError, RequestError
-    """
+    """Fit the axis' numbers to files of runs; its effects stay as the file has them."""
     runs = [read_axis_run(path, driven_axis(start).input) for path in data]
     progress(Stage(2, f"fitting {start.name} to {len(runs)} runs"))
     return fit_runs(start, runs, known, name, [hash_of(path) for path in data])

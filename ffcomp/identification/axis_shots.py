@@ -96,10 +96,7 @@ class Shots:
 def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
     """Choose where the simulation of each run restarts; one length for all.
 
-    Raises
-    ------
-    MeasurementError
-        For a run that is driven by something else than the axis.
+    Raises MeasurementError for a run that is driven by something else than the axis.
     """
     wanted = driven_axis(machine).input
     for run in runs:

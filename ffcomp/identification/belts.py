@@ -79,10 +79,7 @@ class BeltComparison:
 def compare_belts(machine: Machine, tests: Sequence[BeltTest]) -> BeltComparison:
     """Fit the stiffness of each belt or tower to the tests along them.
 
-    Raises
-    ------
-    MeasurementError
-        If a direction is missing, or the tests show no resonance.
+    Raises MeasurementError if a direction is missing, or the tests show no resonance.
     """
     problem = _problem(machine, tests)
     coarse = np.full(len(problem.observations), COARSE)

@@ -30,10 +30,7 @@ def identify(
 ) -> Fitted:
     """Fit the output error; a starting machine with an ideal drive is tried with a drive filter too.
 
-    Raises
-    ------
-    MeasurementError, SolverError
-        As `fit_machine`.
+    Raises MeasurementError, SolverError as `fit_machine`.
     """
     commanded = any(r.input.startswith("cmd_") for r in responses)
     method = _with_drive if commanded else fit_machine

@@ -59,13 +59,8 @@ F = TypeVar("F", bound=MachineFit)
 def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lambda _: None) -> MachineFit:
     """Fit a machine file's numbers to files.
 
-    Raises
-    ------
-    RequestError
-        If the method cannot use what is known or measured.
-    MeasurementError
-        If the files hold nothing that can be fitted.
-    MachineFileError
+    Raises RequestError if the method cannot use what is known or measured; MeasurementError if the files hold nothing
+    that can be fitted; MachineFileError.
     """
     data = cast("tuple[Path, ...]", request.data)
     _check_known(start, request.known or {})

@@ -36,10 +36,7 @@ class ResonanceStart:
 def belts_alone(start: Machine, read: Sequence[tuple[str, Estimate]]) -> ResonanceStart:
     """Scale the belts' stiffness until the main mode along each axis lies at its frequency in the middle of the bed.
 
-    Raises
-    ------
-    SolverError
-        If no stiffness within a factor of ten brings the model's resonances near.
+    Raises SolverError if no stiffness within a factor of ten brings the model's resonances near.
     """
     weights = np.array([np.hypot(hz.relative_sd, MODEL_SD) ** -2.0 for _, hz in read])
     stiffness = value_of(start, STIFFNESS)
@@ -66,10 +63,7 @@ def belts_alone(start: Machine, read: Sequence[tuple[str, Estimate]]) -> Resonan
 def starting_machine(start: Machine, resonances: Sequence[tuple[str, Mode]]) -> ResonanceStart:
     """Scale the belts' stiffness, then both dampings, until the main modes are as measured in the middle of the bed.
 
-    Raises
-    ------
-    SolverError
-        As `belts_alone`.
+    Raises SolverError as `belts_alone`.
     """
     belts = belts_alone(start, [(axis, mode.frequency_hz) for axis, mode in resonances]).estimates
     tuned = with_values(start, {key: e.value for key, e in belts.items()})

@@ -55,10 +55,7 @@ def gather(machine: Machine, request: IdentifyRequest, progress: Callable[[str],
 
     Axes x, y, z of captures of a plan that is no periodic excitation mean that they are found.
 
-    Raises
-    ------
-    MeasurementError
-        For the first file that cannot be used, with all that is wrong with it.
+    Raises MeasurementError for the first file that cannot be used, with all that is wrong with it.
     """
     plan, axes, band_hz = request.plan, request.axes_map.split(","), (request.lowest_hz, request.highest_hz)
     gathered, recordings = Gathered(), list[Recording]()

@@ -117,12 +117,8 @@ class MachineFit(Result):
     def write(self, path: Path) -> Self:
         """Write the machine file, whole or not at all, and return the result with its path.
 
-        Raises
-        ------
-        MachineFileError
-            If the text is no valid machine file.
-        MeasurementError
-            If the data do not make a machine file.
+        Raises MachineFileError if the text is no valid machine file; MeasurementError if the data do not make a machine
+        file.
         """
         if not self.text:
             reasons = self.refusal or ("These data hold no resonance, so there is no machine file to write.",)

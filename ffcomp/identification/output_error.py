@@ -126,19 +126,13 @@ def fit_machine(
 ) -> Fitted:
     """Tune `start` to the responses.
 
-    Parameters
-    ----------
     known : name -> (value, standard uncertainty), of machine-file parameters or of TOTAL_MASS.
     unknowns : parameters that are fitted; all others stay the starting machine's.
     starts : values to begin with in place of the starting machine's, one try each. By default the starting
         machine, four that are slower or faster throughout, and then random ones, until one comes near.
 
-    Raises
-    ------
-    MeasurementError
-        For a response that the model does not have.
-    SolverError
-        If there are fewer values than unknowns, or no start leads anywhere.
+    Raises MeasurementError for a response that the model does not have; SolverError if there are fewer values than
+    unknowns, or no start leads anywhere.
     """
     problem = _Problem(start, responses, dict(known or {}), unknowns)
     if problem.count <= len(problem.names):

@@ -85,16 +85,10 @@ def identify_as_paper(
 ) -> PaperIdentification:
     """Run every step of the paper, from responses of all four setups.
 
-    Parameters
-    ----------
     start : gives the kinematics, the arms' mass and the limits; where no hammer struck along an axis, its mount is
         where the search for another one begins.
 
-    Raises
-    ------
-    MeasurementError
-        If one of the four measurements is missing.
-    SolverError
+    Raises MeasurementError if one of the four measurements is missing; SolverError.
     """
     for setup in SETUPS:
         if all(response.setup != setup for response in responses):
@@ -133,14 +127,9 @@ def _with(machine: Machine, *found: Mapping[str, Estimate]) -> Machine:
 def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse, arms_kg: float) -> Step:
     """Identify m, k, c, b, d₀, d₁, d₂ from the carriage without and with `loaded.added_mass_kg` (Eqs. 30-43).
 
-    Parameters
-    ----------
     arms_kg : what the arms add to the carriage in both.
 
-    Raises
-    ------
-    SolverError
-        If the two responses do not show the effect of the added mass.
+    Raises SolverError if the two responses do not show the effect of the added mass.
     """
     fits = [fit_rational(response, 2, 4) for response in (alone, loaded)]
 
@@ -280,10 +269,7 @@ def fit_rational(response: FrequencyResponse, numerator_order: int, denominator_
     which needs no start; then the output error from the best of its iterates, which is the maximum-likelihood estimate
     for circular complex noise of the stated variance (Pintelon & Schoukens, System Identification, 2012, 9.11).
 
-    Raises
-    ------
-    SolverError
-        If there are fewer measured values than unknowns, or no finite fit.
+    Raises SolverError if there are fewer measured values than unknowns, or no finite fit.
     """
     nb, na, lines = numerator_order, denominator_order, len(response.value)
     unknowns = nb + 1 + na

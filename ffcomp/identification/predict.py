@@ -21,10 +21,7 @@ _Known = dict[tuple[object, ...], tuple[FloatArray, ComplexArray]]
 def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[ComplexArray]:
     """Predict every response, (k,) each, in its units.
 
-    Raises
-    ------
-    MeasurementError
-        For a response whose input, output or setup the model does not have.
+    Raises MeasurementError for a response whose input, output or setup the model does not have.
     """
     known: _Known = {}
     return [_one(machine, response, known) for response in responses]
@@ -87,8 +84,6 @@ def mean_absolute_percentage_accuracy(
 ) -> tuple[float, float]:
     """Compute μ_acc of magnitude and of phase, % (Eqs. 70, 71).
 
-    Parameters
-    ----------
     measured, predicted : (k,) at the same frequencies, rising; measured nowhere zero.
     smallest_phase_deg : 0 is Eq. 71 verbatim.
     """

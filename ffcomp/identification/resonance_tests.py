@@ -63,10 +63,7 @@ def no_test(test: TestFile) -> str:
 def direction_of(axis: str | None) -> FloatArray | None:
     """Return the unit vector (2,) of an axis such as 'axis=1.000,-1.000' or '1,-1'; None: it is x, y, z or unknown.
 
-    Raises
-    ------
-    ValueError
-        If it is neither.
+    Raises ValueError if it is neither.
     """
     if axis is None or axis in AXES:
         return None
@@ -88,15 +85,10 @@ def read_test(
 ) -> Spectrum | BeltTest | str:
     """Read a resonance test, or return a sentence that says why it is of no use.
 
-    Parameters
-    ----------
     axis : the excited axis; None: not known
     column : the spectrum to be taken, of a file with several
 
-    Raises
-    ------
-    MeasurementError
-        If there are several spectra and no rule selects one.
+    Raises MeasurementError if there are several spectra and no rule selects one.
     """
     name = file_and_name(test)
     if axis is None:

@@ -39,8 +39,6 @@ def read_printer_config(path: Path, kinematics: str | None = None, alone: bool =
 
     Raises PrinterConfigError for a file that is none of them, or that says something its firmware would refuse.
 
-    Parameters
-    ----------
     kinematics : for Marlin, whose M503 lacks it: "cartesian" or "corexy"
     alone : read no file that this one includes or runs: it comes from somebody who may not name files here
     """
@@ -110,8 +108,6 @@ class MachineDraft:
 def build_draft(config: ConfigValues, name: str, like: Path | None = None) -> MachineDraft:
     """Fill in the values that can be assumed, and name the missing ones.
 
-    Parameters
-    ----------
     like : machine file to take the unknown values from; for deltas the library's one with the nearest arm length,
         if none is given.
     """

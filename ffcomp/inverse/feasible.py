@@ -54,10 +54,8 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
     The model's settings say how far the nozzle may leave the path where a limit is active, and whether to refuse
     (`strict`) instead of slowing down.
 
-    Raises
-    ------
-    LimitsError
-        Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
+    Raises LimitsError where the path itself lies beyond a carriage's travel, where no slower plan is found, or when
+    `strict`.
     """
     trajectory, section = request.trajectory, request.section
     for reference, gentle in _layouts(model, request):

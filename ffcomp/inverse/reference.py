@@ -85,8 +85,6 @@ class Reference:
     ) -> None:
         """Lay the knots.
 
-        Parameters
-        ----------
         trajectory, section, settings : input and its sampling
         extent : the part that is written; where it begins in motion, there is a knot, whose number divides by CUT
         room_s : time of the command on either side of its path; None: all that the settings allow
@@ -168,8 +166,6 @@ class Reference:
         plan: in one sum with it, the flow before would grow. Without this a pressure advance pattern was 4.4 % longer,
         not 1.5 %.
 
-        Parameters
-        ----------
         vertices : (n + 1, 3) mm, the command at the knots
         around : (n,) the segments; None: the filament follows the plan again
         fixed : times on the plan's clock where the filament stays that of the plan, s

@@ -57,8 +57,6 @@ class Solution:
 def solve(model: InverseModel, reference: Reference, state: FloatArray) -> Solution:
     """Solve one section, without limits.
 
-    Parameters
-    ----------
     model : of the machine
     reference : of the section
     state : (18,) of the plant at the section's first knot

@@ -425,8 +425,6 @@ def late_segments(
 
     Where they are late with the plan's filament, the reference's filament follows the command instead.
 
-    Parameters
-    ----------
     events : times of the file's lines on the plan's clock, s: there the filament is that of the plan
     """
     around = np.zeros(len(vertices) - 1, dtype=np.bool_)

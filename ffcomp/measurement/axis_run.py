@@ -87,8 +87,6 @@ class AxisRun(Run):
 def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
     """Read one run; a MeasurementError reports every mistake in the file at once.
 
-    Parameters
-    ----------
     drive : what drives the axis (`axis.input` of its machine file), for files with several; None: the only one.
     """
     table = read_table(path, read_text(path))

@@ -38,17 +38,12 @@ class Capture(Uniform):
 def make_capture(path: str, table: Table, time_s: FloatArray, acceleration: FloatArray, **stated: Any) -> Capture:
     """Check the rows of a file and bring them to a uniform clock.
 
-    Parameters
-    ----------
     table : the file's rows, for their numbers and for the problems found so far
     time_s : (n,) s
     acceleration : (n, 3) m/s², columns X Y Z of the chip
     stated : other fields of the capture, as far as the file states them
 
-    Raises
-    ------
-    MeasurementError
-        With every mistake in the file.
+    Raises MeasurementError with every mistake in the file.
     """
     problems = list(table.problems)
     timed = np.isfinite(time_s)

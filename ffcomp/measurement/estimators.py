@@ -142,8 +142,6 @@ def sweep_frf(
     where a mode is narrower than the window, it is large. Neighbouring windows share lines; the lines given are so
     far apart (window / (degree + 1)) that together they count each measured line about once.
 
-    Parameters
-    ----------
     input : (e, n, i) or (n, i) of one record, SI.
     output : (e, n, o) or (n, o), SI.
     lowest_hz, highest_hz : the band that was excited.

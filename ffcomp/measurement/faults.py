@@ -172,8 +172,6 @@ def shaper_of_captures(experiments: Mapping[str, Sequence[NormalEquations]], axi
     The commonest mistake of a recording. A shaper on one axis leaves so little of it in some motions that all there is
     came from the other axis.
 
-    Parameters
-    ----------
     experiments : the captures of each, between `CAPTURES_BAND_HZ`; expected columns are the motion along the axis and
         what effects of unknown size add to it
     """
@@ -249,8 +247,6 @@ def shaper_in_gap(everything: GapSpectra, axes: Mapping[str, GapSpectra], retune
 
     It is tried on all axes, then on each its own, as firmware has them, by the sensors that feel one axis.
 
-    Parameters
-    ----------
     retuned : |r|² that is left when the machine file's numbers are fitted
     """
     before, noise = everything.plain, everything.noise
@@ -334,8 +330,6 @@ def compare_repeats(
 ) -> RepeatComparison:
     """Compare repeats of one experiment on one clock.
 
-    Parameters
-    ----------
     signals : (n, m) each, without their means, gaps bridged
     command : (n, k) speeds, mm/s
     known : (n,) where all of them were measured

@@ -79,10 +79,8 @@ class Resonances:
     def chosen(self, name: str | None) -> str:
         """Return the name of the spectrum to use: the requested one, or the only candidate.
 
-        Raises
-        ------
-        MeasurementError
-            If there is no such spectrum, or there are several and none of them is the excited axis' or the sum.
+        Raises MeasurementError if there is no such spectrum, or there are several and none of them is the excited axis'
+        or the sum.
         """
         if name is not None and name not in self.psd:
             rule = f"There is no spectrum {name!r}; there are {', '.join(self.psd)}."
@@ -164,10 +162,7 @@ def is_stdata(path: str | Path) -> bool:
 def stdata_captures(path: str | Path) -> list[Capture]:
     """Read every measurement in the file.
 
-    Raises
-    ------
-    MeasurementError
-        If it cannot be unpacked, or a measurement cannot be used.
+    Raises MeasurementError if it cannot be unpacked, or a measurement cannot be used.
     """
     lines = enumerate(_unpacked(path).splitlines(), 1)
     captures = [_capture(str(path), number, line) for number, line in lines if line.strip()]

@@ -82,10 +82,7 @@ def is_index(path: str | Path) -> bool:
 def read_motion_log(path: str | Path) -> MotionLog:
     """Read a log.
 
-    Raises
-    ------
-    MeasurementError
-        For a file that is no such log, or lacks motion or accelerations.
+    Raises MeasurementError for a file that is no such log, or lacks motion or accelerations.
     """
     messages: dict[str, dict[str, list[dict[str, Any]]]] = {"trapq": {}, "accelerometer": {}}
     for message in _objects(path):

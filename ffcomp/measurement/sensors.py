@@ -103,8 +103,6 @@ def wrong_scale(
     a sensor with its own command that moves it. Where a sensor follows none (noise, a command too fast or at rest),
     nothing is reported. A wrong unit is a chip's: not that of x where its y has the right size.
 
-    Parameters
-    ----------
     command : (n, 3) mm.
     inputs : the names of its columns.
     acceleration : name → (n,) m/s², NaN where missing.
@@ -181,8 +179,6 @@ def _second_derivative(position: FloatArray, rate_hz: float) -> FloatArray:
 def misplaced(measured: Mapping[str, FloatArray], expected: Mapping[str, FloatArray], rate_hz: float) -> list[str]:
     """Report the sensors that do not move along the axis of their name, in full sentences.
 
-    Parameters
-    ----------
     measured : signal (acc_A, pos_x, …) → (n,), NaN where missing. A constant one is ignored.
     expected : the same and other signals of these kinds → (n,), if the printer followed its command exactly.
     """

@@ -51,10 +51,7 @@ _LOG = (
 def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
     """Read everything that a file holds.
 
-    Raises
-    ------
-    MeasurementError
-        With every mistake in the file.
+    Raises MeasurementError with every mistake in the file.
     """
     if Path(path).is_file():
         if is_stdata(path):
@@ -191,10 +188,7 @@ FileKind = Literal["frf", "recording", "vibration"]
 def kind_of(path: Path) -> FileKind:
     """Return the kind of a file by its first line that is no comment of ours.
 
-    Raises
-    ------
-    MeasurementError
-        If it cannot be read, or is of no known kind.
+    Raises MeasurementError if it cannot be read, or is of no known kind.
     """
     if not path.is_file():
         raise MeasurementError(str(path), ["There is no such file."]) from FileNotFoundError(str(path))

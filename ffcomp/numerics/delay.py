@@ -13,8 +13,6 @@ from models.arrays import FloatArray
 def delayed(x: FloatArray, late_s: float, rate_hz: float, drift: float = 0.0) -> FloatArray:
     """Move signals (n, m), at rest at both ends, to a later time; missing samples (NaN) stay missing.
 
-    Parameters
-    ----------
     drift : relative lag of their clock about the middle, to first order because it is small.
     """
     if late_s == 0.0 and drift == 0.0:

@@ -59,10 +59,7 @@ class Reach:
     def of(self, program: Program) -> Program:
         """Return the program with the moves outside the volume passed through unchanged.
 
-        Raises
-        ------
-        OutOfReach
-            If the part itself lies outside, with the line.
+        Raises OutOfReach if the part itself lies outside, with the line.
         """
         moves, part = program.moves, self._part.of(program)
         begin, end = (self._kinematics.reachable(points[:, :3]) for points in (moves.start, moves.end))

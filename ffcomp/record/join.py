@@ -126,8 +126,6 @@ def load_recordings(
 
     Raises MeasurementError for a run that cannot be used, for captures without a plan, and if none can be joined.
 
-    Parameters
-    ----------
     plan : the file that `ffcomp record plan` wrote next to its G-code, or a print with the commands of captures; None:
         there are no captures
     turn : as of `join_captures`

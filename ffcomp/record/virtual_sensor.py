@@ -58,8 +58,6 @@ def write_captures(
 
     Raises RequestError if the G-code is not the plan's, or the firmware records nothing itself.
 
-    Parameters
-    ----------
     program : the plan's G-code
     machine : what the firmware knows; the plant is what it drives
     progress : called with the share that is done

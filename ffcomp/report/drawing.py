@@ -192,8 +192,6 @@ def half_width(error_mm: float) -> float:
 def close_up(axes: Axes, at: FloatArray, half: float, lines: Sequence[Line]) -> None:
     """Draw paths from above, true to scale, with a scale bar.
 
-    Parameters
-    ----------
     at : (3,) mm, the middle
     half : half the width, mm
     """

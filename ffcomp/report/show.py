@@ -46,8 +46,6 @@ def show_figure(
 ) -> Figure:
     """Draw the uncompensated and the compensated path where plastic flows; travel and wipes are left out.
 
-    Parameters
-    ----------
     forecast : the errors that stand above the figure
     z_mm : the layer to show; None: the one with the largest error before, on an outer wall if there is any
     """
@@ -69,10 +67,7 @@ def show_figure(
 def compensation_figure(done: CompensatedFile, *, z_mm: float | None = None) -> Figure:
     """Draw the paths of a compensated file; see `show_figure`.
 
-    Raises
-    ------
-    RequestError
-        If no file was written.
+    Raises RequestError if no file was written.
     """
     if done.output is None:
         raise RequestError("Nothing was written, so there is nothing to draw: name an output.")

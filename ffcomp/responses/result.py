@@ -222,12 +222,8 @@ def frequency_responses(
 ) -> FrequencyResponses:
     """Evaluate a view at places, (2,) mm each, and where, or with what mass, responses of it were measured.
 
-    Raises
-    ------
-    MachineFileError
-        For a view of carriages, of straight axes.
-    MeasurementError
-        For a response that was measured beyond the machine's reach.
+    Raises MachineFileError for a view of carriages, of straight axes; MeasurementError for a response that was measured
+    beyond the machine's reach.
     """
     if not _is_delta(machine):
         if "carriage" in (view.answering, view.per):

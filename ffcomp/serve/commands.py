@@ -222,10 +222,7 @@ def _field(each: Declared) -> dict[str, Any]:
 def checked(kind: str, options: Any) -> dict[str, Any]:
     """Return the options of a job, those that are set: True or False of a switch, else a text.
 
-    Raises
-    ------
-    Refused
-        If the kind is none, or an option is not its own or has no such value.
+    Raises Refused if the kind is none, or an option is not its own or has no such value.
     """
     if kind not in KINDS:
         raise Refused(400, f"There is no kind of job {kind!r}.")

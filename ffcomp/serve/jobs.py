@@ -54,10 +54,7 @@ class JobFolder:
     def place(self, id_: str) -> Path:
         """Return a job's folder.
 
-        Raises
-        ------
-        Refused
-            If that is no job's name.
+        Raises Refused if that is no job's name.
         """
         if not ID.fullmatch(id_):
             raise Refused(404, "There is no such job.")
@@ -87,10 +84,7 @@ class JobFolder:
     def output(self, job: Job, name: str) -> Path:
         """Return the path of a file that a job has made, if the job itself names it.
 
-        Raises
-        ------
-        Refused
-            If it does not.
+        Raises Refused if it does not.
         """
         path = self.place(job.id) / "out" / name
         if name not in job.outputs or not path.is_file():

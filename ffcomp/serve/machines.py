@@ -25,10 +25,7 @@ def listed() -> list[dict[str, Any]]:
 def path_of(name: str) -> Path:
     """Return the file of a machine.
 
-    Raises
-    ------
-    Refused
-        If no machine has this name.
+    Raises Refused if no machine has this name.
     """
     paths = machine_paths()
     if name not in paths:
@@ -39,10 +36,7 @@ def path_of(name: str) -> Path:
 def keep(job: Job, kept: JobFolder, name: str) -> str:
     """Copy the machine file that a job has made among the user's own, and return its name.
 
-    Raises
-    ------
-    Refused
-        If the job has made none, the name is none, or a machine has it already.
+    Raises Refused if the job has made none, the name is none, or a machine has it already.
     """
     if not NAME.fullmatch(name):
         raise Refused(400, "A machine's name has letters, digits, - and _ only.")

@@ -80,10 +80,7 @@ class Runner:
     def find(self, id_: str) -> Job:
         """Return a job.
 
-        Raises
-        ------
-        Refused
-            If there is none of this name.
+        Raises Refused if there is none of this name.
         """
         with self._changed:
             if id_ not in self._jobs:

@@ -103,10 +103,7 @@ class Uploads:
     def find(self, id_: str) -> tuple[Upload, Path]:
         """Return a file that has come in, by its id.
 
-        Raises
-        ------
-        Refused
-            If there is none.
+        Raises Refused if there is none.
         """
         try:
             if not ID.fullmatch(id_):

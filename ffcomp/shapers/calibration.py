@@ -139,8 +139,6 @@ def fits(spectrum: Spectrum, square_corner_velocity: float = 5.0) -> dict[str, F
 def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0) -> Fit:
     """Find the frequency of a kind in `SHAPERS` with the lowest score of those that leave hardly more than the best.
 
-    Parameters
-    ----------
     square_corner_velocity : mm/s
     """
     tried = np.arange(SHAPERS[kind].lowest_hz, _UP_TO_HZ, _STEP_HZ)

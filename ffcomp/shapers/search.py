@@ -33,8 +33,6 @@ class Optimum:
 def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = ()) -> Optimum:
     """Find settings with less cost than any neighbour some 1 % away, along each of them.
 
-    Parameters
-    ----------
     cost : infinite where settings are not allowed
     start : (k,) above zero
     scans : one after the other, each from the best so far

@@ -46,8 +46,6 @@ def read_gcode(
 ) -> tuple[Command, Program]:
     """Read a sliced or a compensated file; return the command, and the program that was read.
 
-    Parameters
-    ----------
     offset : (float, float), added to every position, mm; a compensated file states its own
     flavor : "" for what a compensated file says, the machine file, or else the file
     """

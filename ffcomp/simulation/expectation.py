@@ -55,8 +55,6 @@ def draw_plants(machine: Machine, relative_sd: float | None, count: int) -> list
     mean error of 20 then misses that of many by a third of what it does with independent draws, which are far off
     together, or on the side that favours one of two methods (M. D. McKay et al., Technometrics 21 (1979) 239-245).
 
-    Parameters
-    ----------
     relative_sd : of every number of the machine file; None: from its `[uncertainty]`
     """
     parameters = machine.vibration.parameters()
@@ -141,8 +139,6 @@ class Piece:
 def pieces_of(plan: Motion, command: Motion, path: tuple[FloatArray, FloatArray]) -> list[Piece]:
     """Return pieces spread evenly over a print, without those where something else moves the nozzle.
 
-    Parameters
-    ----------
     plan, command : the print as sliced, and compensated
     path : when its corners are due, (k,) s, and where they are, (k, 3) mm
     """

@@ -44,8 +44,6 @@ class Levels:
 def gcode_preview(original: PlannedProgram, curve: Curve, offset: tuple[float, float] = (0.0, 0.0)) -> Iterator[bytes]:
     """Yield the lines of the preview: the original's moves in the colours of a curve's error.
 
-    Parameters
-    ----------
     offset : shift of the print, mm: the preview is at the slicer's position
     """
     program = original.program

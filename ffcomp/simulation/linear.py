@@ -33,8 +33,6 @@ class LinearPlayback:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the nozzle's response to a command, (n, 3) mm after every step, and the state at its end.
 
-        Parameters
-        ----------
         nozzle : (n + 1, 3), commanded positions in mm, STEP_S apart; n is a multiple of SUBSTEPS
         velocity : (n + 1, 3), their velocity in mm/s
         state : (18,), at the first sample. None: at rest there

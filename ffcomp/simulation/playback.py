@@ -133,8 +133,6 @@ def simulate_nozzles(
 
     Returns times (m,) s on each motion's clock, SAMPLE_S apart, and the levelled nozzle (m, 3) mm.
 
-    Parameters
-    ----------
     plants, motions : one for all, or one for each; at best LANES motions of about the same length
     believed : the machine whose inverse kinematics the firmware uses
     coarse : with longer rows, as a search needs; printers that are not smooth keep the short ones

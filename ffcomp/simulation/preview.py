@@ -83,10 +83,7 @@ class Preview:
 def preview(data: bytes, path: str, machine: Machine) -> Preview:
     """Simulate the original and the compensated print, both in one file, with the design model.
 
-    Raises
-    ------
-    GcodeError
-        If the file is not compensated.
+    Raises GcodeError if the file is not compensated.
     """
     both = read_compensated(data, path, machine)
     if both is None:

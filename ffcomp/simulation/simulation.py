@@ -117,8 +117,6 @@ def recording_lines(
 ) -> Iterator[bytes]:
     """Yield the file chunk by chunk: comments, header, rows.
 
-    Parameters
-    ----------
     chunks : of one section
     plant : the printer whose sensors record
     kinds : of "acc" and "pos", accelerations (m/s², gravity removed) and positions (mm)
@@ -228,8 +226,6 @@ def read_command(
 ) -> tuple[Command, list[str]]:
     """Read a G-code file or a step archive, recognised by their content; return the command and the reader's warnings.
 
-    Parameters
-    ----------
     machine : the one that the command was computed with
     offset : (float, float), added to every position, mm
     flavor : "" for what the machine file says, or else the file

@@ -143,10 +143,7 @@ def is_step_archive(path: str | Path) -> bool:
 def read_steps(path: str | Path) -> dict[str, MotorSteps]:
     """Read the steps of every motor in the archive.
 
-    Raises
-    ------
-    StepsError
-        At the first mistake: key, place in the array, value and rule.
+    Raises StepsError at the first mistake: key, place in the array, value and rule.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:

@@ -156,14 +156,8 @@ class StepSink:
     def knots(self, knots: Knots) -> None:
         """Take the next part of the path; how a path is cut into calls changes nothing.
 
-        Raises
-        ------
-        StepsError
-            If the path jumps or time runs backwards.
-        UnreachableError
-            If an arm is too short for the path.
-        LimitsError
-            If pulses would follow each other faster than the board allows.
+        Raises StepsError if the path jumps or time runs backwards; UnreachableError if an arm is too short for the
+        path; LimitsError if pulses would follow each other faster than the board allows.
         """
         places = knots.places
         carriages = self._geometry.inverse(places[:, :3])  # it refuses what is out of reach

@@ -49,10 +49,7 @@ def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
     A missing amplitude has its neutral value, a missing shape its default. An effect without any amplitude is
     absent.
 
-    Raises
-    ------
-    ValueError
-        If an amplitude is given without the parameters that shape it, or a parameter is unknown.
+    Raises ValueError if an amplitude is given without the parameters that shape it, or a parameter is unknown.
     """
     effect, table = effect_named(name), machine.effects.get(name)
     if table is None:

@@ -77,8 +77,6 @@ def simulate_axis(
 ) -> AxisMotion:
     """Simulate an axis with its effects.
 
-    Parameters
-    ----------
     drive : (n,) the input: N, A, V or a duty, linear between samples, or held (see the file); or mm of the
         commanded position, a cubic spline between them.
     shot : samples after which the motion restarts; 0: never.
@@ -89,10 +87,7 @@ def simulate_axis(
     supply_v : (n,) V, of a voltage or a duty; None: the file's.
     extra : (n,) N, known extra force; None: none.
 
-    Raises
-    ------
-    ValueError
-        If the motion diverges, or an effect is incomplete.
+    Raises ValueError if the motion diverges, or an effect is incomplete.
     """
     p, axis = axis_parameters(machine), driven_axis(machine)
     samples = np.ascontiguousarray(axis.force_of(drive, supply_v) if axis.by_force else 1e-3 * drive, float)
@@ -103,8 +98,6 @@ def simulate_axis(
 def simulate_load(machine: Machine, motor_mm: FloatArray, dt_s: float, shot: int, begin: FloatArray) -> AxisMotion:
     """Simulate the load of an axis alone, on a coupling that a motor moves: as an axis that a position drives.
 
-    Parameters
-    ----------
     motor_mm : (n,) mm, where the motor is: a cubic spline between samples.
     shot, begin : see `simulate_axis`; errors as there
     """

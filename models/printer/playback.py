@@ -37,8 +37,6 @@ def play(
 ) -> Iterator[tuple[int, list[PrinterMotion]]]:
     """Play one command on every machine, or on each its own, from rest.
 
-    Parameters
-    ----------
     rows : of all machines, or one for each: carriage positions, columns A B C. A cubic hold reads some rows past the
         last, and takes one command only.
     count : rows that are played, at least two
@@ -48,12 +46,8 @@ def play(
 
     Yields the first row of a chunk, and one motion a machine. A chunk begins with the last row of the one before.
 
-    Raises
-    ------
-    UnreachableError
-        If a nozzle leaves the reach of its arms.
-    ValueError
-        If the command or the effects of a machine are incomplete, or a printer has no rest position.
+    Raises UnreachableError if a nozzle leaves the reach of its arms; ValueError if the command or the effects of a
+    machine are incomplete, or a printer has no rest position.
     """
     ahead = SPLINE_ROWS if hold == "cubic" else 0
     each = [rows] if callable(rows) else list(rows)
@@ -90,8 +84,6 @@ def simulate_batch(
 ) -> list[FloatArray]:
     """Simulate every section and observe it, together with the rows right after it.
 
-    Parameters
-    ----------
     commands : carriage heights of each section, (n, 3) mm, columns A B C
     rests : rows of rest since the section before; None: the nozzle has been moved in between
     row_s : s, from row to row

@@ -86,8 +86,6 @@ def simulate_printer(
 ) -> PrinterMotion:
     """Simulate a printer under a command, with all effects of `machine.effects` except those of the sensors.
 
-    Parameters
-    ----------
     command : (n, 3) mm, columns A B C: commanded carriage heights every `dt_s`, from the inverse kinematics of the
         machine's own, nominal geometry (an `arm_geometry` effect is not known to the firmware). Before the first
         row, the printer rests under it.
@@ -97,12 +95,8 @@ def simulate_printer(
     ahead : (k, 3) mm, rows of the command that follow this chunk. A cubic spline needs some 20 of them to run over
         the border without an error.
 
-    Raises
-    ------
-    ValueError
-        If the command has another shape, or the effects are not complete.
-    UnreachableError
-        If the motion leaves the arms' reach; its indices are rows of the command.
+    Raises ValueError if the command has another shape, or the effects are not complete; UnreachableError if the motion
+    leaves the arms' reach; its indices are rows of the command.
     """
     starts, printers = None if start is None else [start], [converted_printer(machine, gravity=gravity)]
     (motion,) = simulate_printers(printers, [command], dt_s, starts=starts, substeps=substeps, hold=hold, ahead=ahead)

@@ -132,8 +132,6 @@ class DrivenAxis(VibrationModel):
     def force_of(self, command: FloatArray, supply_v: FloatArray | None = None) -> FloatArray:
         """Return the drive's force, (n,) N, from its command, (n,) N, A, V or a duty of -1 to 1.
 
-        Parameters
-        ----------
         supply_v : (n,) as recorded; None: the file's.
         """
         drive = self.drive

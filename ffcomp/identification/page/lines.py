@@ -43,10 +43,7 @@ class ReadLine:
 def read_lines(sights: Sequence[Sight], plan: Plan) -> list[ReadLine]:
     """Read every stroke in every picture that shows it.
 
-    Raises
-    ------
-    MeasurementError
-        If too few lines can be read.
+    Raises MeasurementError if too few lines can be read.
     """
     read: list[ReadLine] = []
     for rough in sights:

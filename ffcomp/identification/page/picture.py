@@ -91,8 +91,6 @@ class Sight:
     def refined(self, at_mm: FloatArray, px: FloatArray, normal: FloatArray) -> Sight:
         """Fit perspective and distortion to the discs and to places of straight lines, which count across them.
 
-        Parameters
-        ----------
         at_mm, px, normal : (n, 2) places on the page, where lines are seen for them, and unit vectors across, pixels.
         """
         k, scale, middle = len(self.disc_mm), _scale(self.perspective), self.picture.middle
@@ -138,10 +136,7 @@ def _scale(perspective: FloatArray) -> float:
 def read_picture(path: str | Path) -> Picture:
     """Read a JPEG, PNG or TIFF file.
 
-    Raises
-    ------
-    MeasurementError
-        For a file that is no picture, or is cut off, or shows nothing.
+    Raises MeasurementError for a file that is no picture, or is cut off, or shows nothing.
     """
     from PIL import Image, ImageOps, UnidentifiedImageError
 
@@ -211,10 +206,7 @@ def _reduced(picture: Pixels) -> Pixels:
 def find_page(picture: Picture, plan: Plan) -> Sight:
     """Find a plan's page in a picture.
 
-    Raises
-    ------
-    MeasurementError
-        If it is not there, mirrored, of another plan, blurred, or too small.
+    Raises MeasurementError if it is not there, mirrored, of another plan, blurred, or too small.
     """
     page, blots = discs_of(plan), _blots(picture)
     sight = _found(picture, plan, blots)

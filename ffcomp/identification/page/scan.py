@@ -75,12 +75,8 @@ class ScanFit(MachineFit):
 def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str], None] = lambda _: None) -> ScanFit:
     """Fit a machine file's numbers to pictures of the page of a plan.
 
-    Raises
-    ------
-    RequestError
-        For a plan of another machine, or one that is no page.
-    MeasurementError
-        For a picture that cannot be used; each sentence says what to do.
+    Raises RequestError for a plan of another machine, or one that is no page; MeasurementError for a picture that
+    cannot be used; each sentence says what to do.
     """
     plan = load_plan(request.plan)
     page = _checked(start, plan, request)
