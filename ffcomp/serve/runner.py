@@ -17,9 +17,9 @@ from pathlib import Path
 
 from ffcomp.result import Answer
 from ffcomp.serve import machines, messages
-from ffcomp.serve.answers import answer_of, keep_first_figure
 from ffcomp.serve.commands import KINDS, PANEL, PICTURE, REPORT, Step, steps, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
+from ffcomp.serve.messages import answer_of, keep_first_figure
 from ffcomp.serve.settings import MEGABYTE, RESERVE, ServeSettings
 from ffcomp.serve.uploads import Refused
 

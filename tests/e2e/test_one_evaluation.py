@@ -12,7 +12,7 @@ import pytest
 from ffcomp.numerics.digits import um
 from ffcomp.report.show import show_figure
 from ffcomp.result import Result
-from ffcomp.serve.answers import answer_of
+from ffcomp.serve.messages import answer_of
 from ffcomp.simulation.forecast import NO_FORECAST, forecast_in
 from ffcomp.simulation.preview import preview
 from gcode.embedded import already_processed

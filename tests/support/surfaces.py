@@ -12,7 +12,7 @@ from typing import Any
 
 from ffcomp.cli.common import answer
 from ffcomp.result import Answer, Result
-from ffcomp.serve.answers import answer_of
+from ffcomp.serve.messages import answer_of
 
 
 def printed(result: Result, as_json: bool) -> str:

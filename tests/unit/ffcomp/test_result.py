@@ -14,8 +14,8 @@ from ffcomp.errors import interrupts_restored
 from ffcomp.importers.values import PrinterConfigError
 from ffcomp.numerics.serialise import keys
 from ffcomp.result import Answer, Result
-from ffcomp.serve.answers import answer_of
 from ffcomp.serve.commands import KINDS
+from ffcomp.serve.messages import answer_of
 from ffcomp.steps.archive import StepsError
 from gcode.errors import GcodeError, UnsupportedGcode
 from models.errors import MachineFileError, UnreachableError
