@@ -125,8 +125,7 @@ def show(request: ShowRequest) -> Result:
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import show_figure
     from ffcomp.simulation.forecast import forecast_in
-    from ffcomp.simulation.gcode_preview import gcode_preview
-    from ffcomp.simulation.preview import preview
+    from ffcomp.simulation.preview import gcode_preview, preview
     from ffcomp.version import __version__
     from gcode.atomic_write import replace_atomically
     from gcode.container import read_bytes

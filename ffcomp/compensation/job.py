@@ -40,7 +40,7 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.request import shared_with
-from ffcomp.simulation.expectation import Tuned
+from ffcomp.simulation.command import Tuned
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, failure
 from ffcomp.steps.motion import MotionSink, Sink
 from ffcomp.steps.sink import Board, StepSink

@@ -14,7 +14,7 @@ from typing import Literal
 
 from ffcomp.compensation.text_stream import Later, Text
 from ffcomp.shapers import DAMPING_RATIO
-from ffcomp.simulation.expectation import Tuned
+from ffcomp.simulation.command import Tuned
 from gcode.dialect import DIALECTS
 from gcode.dialects import shaper_commands, shaper_off, shaper_on
 from gcode.embedded import OURS, WAS, like_ours

@@ -22,7 +22,7 @@ from ffcomp.metrics import distance_to_path, segments_near
 from ffcomp.numerics.digits import um
 from ffcomp.shapers.apply import shape_samples
 from ffcomp.shapers.search import Scan, search
-from ffcomp.simulation.command import Motion
+from ffcomp.simulation.command import Motion, Tuned
 from ffcomp.simulation.linear import KEEP_EVERY, STEP_S, SUBSTEPS, LinearPlayback, whole_steps
 from gcode.dialect import DIALECTS
 from models.arrays import FloatArray
@@ -225,22 +225,6 @@ class Expectation:
     def numbers(self) -> dict[str, Any]:
         """Return the fields that the others follow from: see `expectation_of`."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.name not in SENTENCES}
-
-
-class Tuned(NamedTuple):
-    """An input shaper with the frequencies for x and y that serve a print best."""
-
-    kind: str
-    hz: tuple[float, float]
-
-    @property
-    def name(self) -> str:
-        """Kind and frequencies, for people."""
-        return f"{self.kind.upper()}, x {self.hz[0]:.1f} Hz, y {self.hz[1]:.1f} Hz"
-
-    def by_axis(self) -> list[shapers.Shaper]:
-        """Return the shapers of x and y."""
-        return [shapers.SHAPERS[self.kind](hz, shapers.DAMPING_RATIO) for hz in self.hz]
 
 
 def expectation(machine: Machine, pieces: Sequence[Piece], flavor: str) -> Expectation | None:

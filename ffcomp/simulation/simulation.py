@@ -15,8 +15,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result, clock
-from ffcomp.simulation.command import Command, CommandSection, command_peaks
-from ffcomp.simulation.command_files import read_gcode, steps_command
+from ffcomp.simulation.command import Command, CommandSection, command_peaks, read_gcode, steps_command
 from ffcomp.simulation.playback import PlayedPart, check_same_kinematics, levelled, play
 from ffcomp.simulation.request import SIGNALS, SimulateRequest
 from ffcomp.steps.archive import is_step_archive, read_steps

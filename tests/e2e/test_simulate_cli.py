@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.measurement.recording import Recording, read_recording
-from ffcomp.simulation.command_files import gcode_command
+from ffcomp.simulation.command import gcode_command
 from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import simulate_command
 from models.file import LIBRARY, load_machine

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.firmware.program import plan_program
-from ffcomp.simulation.command import Command
-from ffcomp.simulation.command_files import gcode_command, smoothed, staircase
+from ffcomp.simulation.command import Command, gcode_command, smoothed, staircase
 from ffcomp.simulation.playback import ROW_S, play
 from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import read_command, simulate_command

@@ -11,7 +11,7 @@ from ffcomp.compensation.own_shaper import OwnShaper, with_shaper_off, with_shap
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import CompensatedFile, Result
 from ffcomp.compensation.text_stream import in_order
-from ffcomp.simulation.command_files import read_gcode
+from ffcomp.simulation.command import read_gcode
 from ffcomp.simulation.expectation import Tuned
 from ffcomp.simulation.forecast import stored_forecast
 from ffcomp.simulation.preview import preview
