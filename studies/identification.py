@@ -41,8 +41,7 @@ from ffcomp.identification.predict import mean_absolute_percentage_accuracy, pre
 from ffcomp.identification.resonance_tests import spectrum_of
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.vibration import read_vibrations
+from ffcomp.measurement.vibration import Resonances, read_vibrations
 from ffcomp.shapers.calibration import fits, normalised, recommended, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine

@@ -18,10 +18,9 @@ from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.faults import fault
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
-from ffcomp.measurement.vibration import kind_of, read_vibrations
+from ffcomp.measurement.vibration import Resonances, kind_of, read_vibrations
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.axes import STRAIGHT, turning
 from ffcomp.record.excitation import TOWERS, excited_coordinate

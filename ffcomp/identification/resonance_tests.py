@@ -15,9 +15,8 @@ import numpy as np
 from ffcomp.identification.axis_spectra import USUAL_AVERAGES, Spectrum
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import AXES
-from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.swept import HIGHEST_HZ, fitted_band, segment_powers, swept_band, swept_band_of_spectrum
-from ffcomp.measurement.vibration import read_vibrations
+from ffcomp.measurement.vibration import Resonances, read_vibrations
 from models.arrays import FloatArray
 
 FEWEST_LINES = 20  # of one file, in the band

@@ -18,9 +18,9 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, Uniform, clock_of
-from ffcomp.measurement.klipper import is_stdata
 from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
 from ffcomp.measurement.table import Table, closest, read_table, read_text, repeated_columns
+from ffcomp.measurement.vibration import is_stdata
 from models.arrays import BoolArray, FloatArray
 
 CommandSpace = Literal["carriage", "nozzle"]

@@ -18,8 +18,7 @@ from ffcomp.identification.axis_spectra import Response, Spectrum, closed_form
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.resonance_tests import BeltTest, spectrum_of
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.vibration import read_vibrations
+from ffcomp.measurement.vibration import Resonances, read_vibrations
 from ffcomp.shapers.calibration import fits, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.sensors import G
-from ffcomp.measurement.vibration import read_captures, read_vibrations
+from ffcomp.measurement.vibration import Resonances, read_captures, read_vibrations
 
 LINES = np.arange(30) * 1.6
 PSD = 1e3 * np.exp(-(((LINES - 25) / 8) ** 2)) + 1

@@ -12,8 +12,7 @@ import pytest
 from ffcomp import shapers
 from ffcomp.comparison.methods import NAMES as COMPARED
 from ffcomp.comparison.request import CompareRequest
-from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.vibration import read_vibrations
+from ffcomp.measurement.vibration import Resonances, read_vibrations
 from ffcomp.shapers import calibration as calibrate
 from models.arrays import FloatArray, constant
 from models.file import load_machine
