@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.gap import gap_of
 from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
+from ffcomp.diagnosis.verb import gap_of
 from models.file import load_plant
 from studies.render import DATA, REPORTS, results_of, save
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from ffcomp.diagnosis.gap import gap_request
 from ffcomp.diagnosis.problems import plant_of
 from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
-from ffcomp.diagnosis.verb import diagnose_request
+from ffcomp.diagnosis.verb import diagnose_request, gap_request
 from ffcomp.identification.fitting import fit_files
 from ffcomp.identification.machine_fit import MachineFit
 from ffcomp.identification.request import IdentifyRequest

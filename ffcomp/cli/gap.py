@@ -19,6 +19,6 @@ def gap(request: GapRequest) -> Result:
 
     Example: ffcomp gap runs/*.csv --machine my-delta.toml
     """
-    from ffcomp.diagnosis.gap import gap_request
+    from ffcomp.diagnosis.verb import gap_request
 
     return gap_request(replace(request, progress=report))

@@ -12,9 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.fit import intervals_of
-from ffcomp.diagnosis.gap import Discrepancy
 from ffcomp.diagnosis.result import DiagnosisResult, file_key, of_machine
-from ffcomp.diagnosis.verb import Diagnosis
+from ffcomp.diagnosis.verb import Diagnosis, Discrepancy
 from ffcomp.diagnosis.where import Overlay, ResidualCurve, Split, overlays_of
 from ffcomp.diagnosis.words import digits, evidence, interval, joined, percent, times, times_noise, title
 from ffcomp.identification.machine_fit import hash_of

@@ -9,12 +9,12 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.diagnosis.noise import noise_floor, noise_of_sensors, stationary_noise, whitener
 from ffcomp.diagnosis.problem import Observation, Problem
 from ffcomp.diagnosis.problems import problem_of
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
+from ffcomp.diagnosis.verb import measure_gap
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
 from models.effects.catalogue import with_effects

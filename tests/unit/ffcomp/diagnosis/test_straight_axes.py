@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult
+from ffcomp.diagnosis.verb import measure_gap
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.file import load_machine

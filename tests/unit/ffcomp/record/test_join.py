@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ffcomp.diagnosis.gap import measure_gap
+from ffcomp.diagnosis.verb import measure_gap
 from ffcomp.errors import MeasurementError
 from ffcomp.record.axes import turn_of
 from ffcomp.record.excitation import ExcitationRequest, make_excitation_plan
