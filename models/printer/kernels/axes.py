@@ -112,7 +112,8 @@ class Terms(NamedTuple):
     rubbing: bool
     sticking: bool
     swaying: bool
-    odd: bool  # sines and powers
+    sines: bool
+    powers: bool
 
 
 PerMode: TypeAlias = tuple[float, ...]  # one number a mode
@@ -216,35 +217,37 @@ def _stiffer(m: FloatArray, n: int, x: float) -> float:
 
 
 @compiled
-def step_lanes(m: FloatArray, h: float, like: PerMode, has: ActiveEffects) -> None:
-    """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
+def step_lanes(m: FloatArray, h: float, like: PerMode, used: int, has: ActiveEffects) -> None:
+    """Step the used lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
 
-    The motion at the step's beginning is left in MOTION. `like` has the length of an axis' modes.
+    The motion at the step's beginning is left in MOTION. `like` has the length of an axis' modes. Without a command an
+    idle lane would decay to denormal numbers, which take a processor many times as long.
     """
-    odd = has.torque_angle or has.powers
-    if odd and not (has.swaying or has.guides):
-        _steps(m, h, like, Terms(YES, NO, NO, NO, YES))
-    elif odd:
-        _steps(m, h, like, Terms(YES, YES, YES, YES, YES))
+    if has.torque_angle and not (has.swaying or has.guides):
+        _steps(m, h, like, used, Terms(YES, NO, NO, NO, YES, NO))
+    elif has.torque_angle:
+        _steps(m, h, like, used, Terms(YES, YES, YES, YES, YES, YES))
+    elif has.powers:
+        _steps(m, h, like, used, Terms(YES, YES, YES, YES, NO, YES))
     elif has.swaying and (has.springs or has.guides):
-        _steps(m, h, like, Terms(YES, YES, YES, YES, NO))
+        _steps(m, h, like, used, Terms(YES, YES, YES, YES, NO, NO))
     elif has.swaying:
-        _steps(m, h, like, Terms(NO, NO, NO, YES, NO))
+        _steps(m, h, like, used, Terms(NO, NO, NO, YES, NO, NO))
     elif has.sticking:
-        _steps(m, h, like, Terms(YES, YES, YES, NO, NO))
+        _steps(m, h, like, used, Terms(YES, YES, YES, NO, NO, NO))
     elif has.guides:
-        _steps(m, h, like, Terms(YES, YES, NO, NO, NO))
+        _steps(m, h, like, used, Terms(YES, YES, NO, NO, NO, NO))
     elif has.springs:
-        _steps(m, h, like, Terms(YES, NO, NO, NO, NO))
+        _steps(m, h, like, used, Terms(YES, NO, NO, NO, NO, NO))
     else:
-        _steps(m, h, like, Terms(NO, NO, NO, NO, NO))
+        _steps(m, h, like, used, Terms(NO, NO, NO, NO, NO, NO))
     for n in range(2 * WIDTH):
         m[MOTORS * LANES + n] = m[(MOTORS + 12) * LANES + n]
 
 
 @inlined
-def _steps(m: FloatArray, h: float, like: PerMode, has: Terms) -> None:
-    for l in range(min(len(m), LANES)):  # LANES, which the compiler is not to know: it would write each lane out
+def _steps(m: FloatArray, h: float, like: PerMode, used: int, has: Terms) -> None:
+    for l in range(min(used, LANES)):  # by LANES the compiler sees that rows do not overlap
         _step(m, l, h, like, has)
 
 
@@ -376,7 +379,7 @@ def _pull(m: FloatArray, n: int, half: Row, q: float, qd: float, has: Terms) -> 
     if not has.springs:
         return motor + at(m, r.uneven, n) * (motor - q), motor_rate - qd
     stretch = effective_stretch(m, n, motor - q)
-    return drive_of_axes(m, n, motor, q, stretch, torque(m, n, stretch) if has.odd else stretch, motor_rate - qd)
+    return drive_of_axes(m, n, motor, q, stretch, torque(m, n, stretch) if has.sines else stretch, motor_rate - qd)
 
 
 @inlined
@@ -386,7 +389,7 @@ def _axis_rate(
     """Evaluate the rate of one axis: its modes, driven by w and ẇ − q̇_d, and its friction."""
     strain = 0.0
     if has.rubbing:
-        force, strain = guide_force(m, n, qd, y[0], has.sticking, has.odd)
+        force, strain = guide_force(m, n, qd, y[0], has.sticking, has.powers)
         drive -= force * at(m, COMPLIANCE, n)
     more = _stiffer(m, n, x) if has.swaying else 0.0
     return strain, y[2], _forces(m, MODES, n, more, drive, drive_rate + qd, y[2], y[1])

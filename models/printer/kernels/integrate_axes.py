@@ -44,7 +44,7 @@ def integrate_axes(
                 for ahead in range(1, 3):
                     read_command(m, first + n, 2 * step + ahead, commands, has)
                     axes.keep_motors(m, ahead)
-            axes.step_lanes(m, h, like, has)
+            axes.step_lanes(m, h, like, len(states), has)
             if step == 0:
                 _sample_motion(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:

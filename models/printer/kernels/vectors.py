@@ -142,6 +142,9 @@ TURN = 2.0 * math.pi
 S1, S2, S3, S4, S5, S6, S7, S8 = (float((-1) ** n / math.factorial(2 * n + 1)) for n in range(1, 9))
 C1, C2, C3, C4, C5, C6, C7, C8 = (float((-1) ** n / math.factorial(2 * n)) for n in range(1, 9))
 L1, L2, L3, L4, L5, L6, L7 = (1.0 / (2 * n + 1) for n in range(1, 8))
+FRACTION_BITS = np.int64(52)
+FRACTION, EXPONENT_OF_ONE = np.int64(2**52 - 1), np.int64(1023 * 2**52)
+ROOT_2, LN_2, BIAS = math.sqrt(2.0), math.log(2.0), 1022.5  # of the exponent, with √2 taken out
 E2, E3, E4, E5, E6, E7, E8 = (1.0 / math.factorial(n) for n in range(2, 9))
 
 
@@ -163,22 +166,16 @@ def sine_cosine(x: float) -> tuple[float, float]:
 def power(x: float, p: float) -> float:
     """Compute x to the p for x ≥ 0 and p > 0, to 1e-12 of what matters to exp −x^p, without branches.
 
-    ln x = 128 ln y with y = x^(1/128), ln y = 2 artanh (y − 1)/(y + 1); e^z is a polynomial's 1024th power.
+    x = 2^n y √2, with n and y from its bits, and ln y = 2 artanh (y − 1)/(y + 1); e^z is a polynomial's 1024th power.
     """
-    y = math.sqrt(math.sqrt(math.sqrt(min(max(x, 1e-60), 1e12))))
-    y = math.sqrt(math.sqrt(math.sqrt(math.sqrt(y))))
-    u = (y - 1.0) / (y + 1.0)
+    bits = np.float64(min(max(x, 1e-60), 1e12)).view(np.int64)
+    y = np.int64((bits & FRACTION) | EXPONENT_OF_ONE).view(np.float64)
+    u = (y - ROOT_2) / (y + ROOT_2)
     q = u * u
-    log = 256.0 * (u + u * q * (L1 + q * (L2 + q * (L3 + q * (L4 + q * (L5 + q * (L6 + q * L7)))))))
+    log = 2.0 * (u + u * q * (L1 + q * (L2 + q * (L3 + q * (L4 + q * (L5 + q * (L6 + q * L7)))))))
+    log += (np.int32(bits >> FRACTION_BITS) - BIAS) * LN_2
     z = min(max(p * log, -500.0), 500.0) * (1.0 / 1024.0)
     e = 1.0 + z + z * z * (E2 + z * (E3 + z * (E4 + z * (E5 + z * (E6 + z * (E7 + z * E8))))))
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    e *= e
-    return e * e
+    for _ in range(10):
+        e *= e
+    return e
