@@ -184,23 +184,7 @@ class PrintTimes:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedFile(VerbResult):
-    """The result of one file.
-
-    Attributes
-    ----------
-    path : str
-        The file, as the user named it.
-    output : Path or None
-        The file that was written; None: nothing was.
-    prints : mapping of Result
-        By the print's name, which is empty for the only one; none: the file was compensated already.
-    already : str
-        Says that it was; empty: it was compensated now.
-    advice : tuple of str
-        Warnings about how the file was made.
-    seen_at : str
-        Where the user finds the output; empty: where it is written. A slicer moves it.
-    """
+    """The result of one file."""
 
     title = "Compensated print"
     schema = "ffcomp-compensate/1"
@@ -212,12 +196,13 @@ class CompensatedFile(VerbResult):
     )
     drawn_by: ClassVar = {"show": "ffcomp.report.show:compensation_figure"}
 
-    path: str
-    output: Path | None
+    path: str  # the file, as the user named it
+    output: Path | None  # the file that was written; None: nothing was
+    # by the print's name, which is empty for the only one; none: the file was compensated already
     prints: Mapping[str, Result] = field(default_factory=dict)
-    already: str = ""
-    advice: tuple[str, ...] = ()
-    seen_at: str | None = None
+    already: str = ""  # says that it was; empty: it was compensated now
+    advice: tuple[str, ...] = ()  # warnings about how the file was made
+    seen_at: str | None = None  # where a slicer moves the output; empty: unknown; None: where it is written
 
     @property
     def result(self) -> Result:

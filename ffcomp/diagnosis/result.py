@@ -132,13 +132,7 @@ class Nearest:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DiagnosisResult:
-    """The contents of the answer and of the better machine file; the best hypothesis even if it was rejected.
-
-    Attributes
-    ----------
-    search : everything that the verdict rests on
-    separations : what to record, to separate explanations that fit as well
-    """
+    """The contents of the answer and of the better machine file; the best hypothesis even if it was rejected."""
 
     json_keys: ClassVar = keys(
         "verdict",
@@ -162,8 +156,8 @@ class DiagnosisResult:
         compared="compared",
     )
 
-    search: Outcome
-    separations: Sequence[Separation] = ()
+    search: Outcome  # everything that the verdict rests on
+    separations: Sequence[Separation] = ()  # what to record, to separate explanations that fit as well
 
     @property
     def problem(self) -> Problem:

@@ -123,22 +123,15 @@ def _notes(repeats: Sequence[Repeats]) -> list[str]:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Diagnosis(DiagnosisResult, Result):
-    """The effects that a machine file lacks, if any.
-
-    Attributes
-    ----------
-    runs : the files of the recordings
-    output : the improved machine file; None: not written
-    seconds : computing took
-    """
+    """The effects that a machine file lacks, if any."""
 
     schema = "ffcomp-diagnose/1"
     json_keys: ClassVar = keys("said", "seconds", to_do="next_steps", machine="output") | DiagnosisResult.json_keys
     page_by = "ffcomp.report.diagnose:page_of"
 
-    runs: Sequence[Path] = ()
-    output: Path | None = None
-    seconds: float = 0.0
+    runs: Sequence[Path] = ()  # the files of the recordings
+    output: Path | None = None  # the improved machine file; None: not written
+    seconds: float = 0.0  # of computing
 
     @property
     def said(self) -> list[str]:

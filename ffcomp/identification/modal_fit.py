@@ -146,10 +146,7 @@ def _modes(found: _Fit) -> FloatArray:
 
 
 def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
-    """Fit one mode or two, by the evidence.
-
-    Raises MeasurementError if no resonance lies within the measured band.
-    """
+    """Fit one mode or two, by the evidence; MeasurementError if no resonance lies within the measured band."""
     accepted, verdict = _one_or_two(name, data)
     accepted, verdict = _at_the_peak(name, accepted, verdict)
     _within(name, accepted)

@@ -80,10 +80,7 @@ def is_index(path: str | Path) -> bool:
 
 
 def read_motion_log(path: str | Path) -> MotionLog:
-    """Read a log.
-
-    Raises MeasurementError for a file that is no such log, or lacks motion or accelerations.
-    """
+    """Read a log; MeasurementError for a file that is no such log, or lacks motion or accelerations."""
     messages: dict[str, dict[str, list[dict[str, Any]]]] = {"trapq": {}, "accelerometer": {}}
     for message in _objects(path):
         (kind, _, name), params = str(message.get("q", "")).partition(":"), message.get("params")

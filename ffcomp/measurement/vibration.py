@@ -51,10 +51,7 @@ _LOG = (
 
 
 def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
-    """Read everything that a file holds.
-
-    Raises MeasurementError with every mistake in the file.
-    """
+    """Read everything that a file holds; MeasurementError with every mistake in the file."""
     if Path(path).is_file():
         if is_stdata(path):
             return list(stdata_captures(path))

@@ -52,10 +52,7 @@ class JobFolder:
         folder.mkdir(parents=True, exist_ok=True)
 
     def place(self, id_: str) -> Path:
-        """Return a job's folder.
-
-        Raises Refused if that is no job's name.
-        """
+        """Return a job's folder; Refused if that is no job's name."""
         if not ID.fullmatch(id_):
             raise Refused(404, "There is no such job.")
         return self.folder / id_
@@ -82,10 +79,7 @@ class JobFolder:
         shutil.rmtree(self.place(id_), ignore_errors=True)
 
     def output(self, job: Job, name: str) -> Path:
-        """Return the path of a file that a job has made, if the job itself names it.
-
-        Raises Refused if it does not.
-        """
+        """Return the path of a file that a job has made, if the job itself names it; Refused if it does not."""
         path = self.place(job.id) / "out" / name
         if name not in job.outputs or not path.is_file():
             raise Refused(404, "There is no such file.")

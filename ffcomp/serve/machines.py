@@ -23,10 +23,7 @@ def listed() -> list[dict[str, Any]]:
 
 
 def path_of(name: str) -> Path:
-    """Return the file of a machine.
-
-    Raises Refused if no machine has this name.
-    """
+    """Return the file of a machine; Refused if no machine has this name."""
     paths = machine_paths()
     if name not in paths:
         raise Refused(400, f"There is no machine {name[:60]!r}: choose one, or import yours.")

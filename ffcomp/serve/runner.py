@@ -78,10 +78,7 @@ class Runner:
             return sorted(self._jobs.values(), key=lambda job: job.created, reverse=True)
 
     def find(self, id_: str) -> Job:
-        """Return a job.
-
-        Raises Refused if there is none of this name.
-        """
+        """Return a job; Refused if there is none of this name."""
         with self._changed:
             if id_ not in self._jobs:
                 raise Refused(404, "There is no such job.")

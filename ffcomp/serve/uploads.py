@@ -101,10 +101,7 @@ class Uploads:
             raise
 
     def find(self, id_: str) -> tuple[Upload, Path]:
-        """Return a file that has come in, by its id.
-
-        Raises Refused if there is none.
-        """
+        """Return a file that has come in, by its id; Refused if there is none."""
         try:
             if not ID.fullmatch(id_):
                 raise ValueError(id_)

@@ -41,10 +41,7 @@ class ReadLine:
 
 
 def read_lines(sights: Sequence[Sight], plan: Plan) -> list[ReadLine]:
-    """Read every stroke in every picture that shows it.
-
-    Raises MeasurementError if too few lines can be read.
-    """
+    """Read every stroke in every picture that shows it; MeasurementError if too few lines can be read."""
     read: list[ReadLine] = []
     for rough in sights:
         sight = _refined(rough, plan)
