@@ -9,9 +9,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from ffcomp.check.changes import AS_NOISE, Difference, Explanation, compare, earlier_machine, expected_signals
+from ffcomp.check.changes import (
+    AS_NOISE,
+    Difference,
+    Explanation,
+    SensorSignal,
+    compare,
+    earlier_machine,
+    expected_signals,
+    share_apart,
+    signals_of,
+)
 from ffcomp.check.history import Check, moves_hash
-from ffcomp.check.signals import SensorSignal, share_apart, signals_of
 from ffcomp.numerics.serialise import keys
 from ffcomp.record.plan import Experiment, Plan, plan_dict
 from ffcomp.record.result import JoinResult

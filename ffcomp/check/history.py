@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ffcomp.check.signals import SensorSignal
+from ffcomp.check.changes import SensorSignal
 from ffcomp.errors import MeasurementError
 from gcode.atomic_write import replace_atomically
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.check.changes import Change, Difference, Explanation
+from ffcomp.check.changes import Change, Difference, Explanation, SensorSignal
 from ffcomp.check.compare import verdict
 from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
-from ffcomp.check.signals import SensorSignal
 from ffcomp.errors import MeasurementError
 
 AXES = "x,y,z"
