@@ -23,9 +23,9 @@ from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import Resonances, kind_of, read_vibrations
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.axes import STRAIGHT, turning
-from ffcomp.record.excitation import TOWERS, excited_coordinate
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Excitation, Experiment, Plan
+from ffcomp.record.planning import TOWERS, excited_coordinate
 from ffcomp.record.prints import plan_of
 from ffcomp.record.result import Joined
 from models.machine import Machine

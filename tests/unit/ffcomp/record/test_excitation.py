@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError
-from ffcomp.record.excitation import AXES, TOWERS, ExcitationRequest, make_excitation_plan
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import polyline_gain
 from ffcomp.record.plan import Excitation, Experiment, Plan
+from ffcomp.record.planning import AXES, TOWERS, ExcitationRequest, make_excitation_plan
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import ComplexArray, FloatArray, constant

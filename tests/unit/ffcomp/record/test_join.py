@@ -18,10 +18,10 @@ from scipy.interpolate import CubicSpline
 from ffcomp.diagnosis.verb import measure_gap
 from ffcomp.errors import MeasurementError
 from ffcomp.record.axes import turn_of
-from ffcomp.record.excitation import ExcitationRequest, make_excitation_plan
 from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
+from ffcomp.record.planning import ExcitationRequest, make_excitation_plan
 from ffcomp.record.result import JoinResult
 from models.file import load_machine
 from models.machine import Machine
