@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.comparison.baselines import shaped
-from ffcomp.comparison.methods import segments
+from ffcomp.comparison.methods import segments, shaped
 from ffcomp.inverse.settings import WriterSettings, settings_for
 from ffcomp.planner.trajectory import Trajectory
 from studies.render import save

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import COMMON_FACTORS, DAMPING, DAMPING_FACTORS, LinearPrinter, Shaping
-from ffcomp.comparison.methods import TunedMethod
+from ffcomp.comparison.methods import COMMON_FACTORS, DAMPING, DAMPING_FACTORS, LinearPrinter, Shaping, TunedMethod
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import peak_acceleration
 from ffcomp.shapers import DAMPING_RATIO, SHAPERS, Shaper
+from ffcomp.shapers.pulses import KERNELS
 from ffcomp.shapers.search import Optimum, Scan, search
-from ffcomp.shapers.smooth import KERNELS
 from ffcomp.simulation.linear import STEP_S
 from models.arrays import FloatArray
 from models.machine import Machine

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.comparison import methods as ours
-from ffcomp.comparison.baselines import shaped
-from ffcomp.comparison.methods import Compensated, Segments, pick
+from ffcomp.comparison.methods import Compensated, Segments, pick, shaped
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for

@@ -17,10 +17,9 @@ from functools import partial
 import numpy as np
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter
 from ffcomp.comparison.equal_quality import QUALITY, equal_qualities
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, Progress, Stages, evaluate, execute, in_parallel
-from ffcomp.comparison.methods import COMPENSATED, CommandedSlices, TunedMethod
+from ffcomp.comparison.methods import COMPENSATED, SHAPER_NAMES, CommandedSlices, LinearPrinter, TunedMethod
 from ffcomp.comparison.result import Comparison, Method
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, WHOLE_PRINT, Print, PrintSlice, Sampling
 from ffcomp.compensation.file import compensate_file

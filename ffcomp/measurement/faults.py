@@ -25,8 +25,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ffcomp.numerics.delay import delayed
-from ffcomp.shapers.pulses import DAMPING_RATIO, USUAL
-from ffcomp.shapers.smooth import SHAPERS
+from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, USUAL
 from models.arrays import BoolArray, ComplexArray, FloatArray
 
 SHAPER_REMEDY = (

@@ -6,7 +6,6 @@ constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
 from ffcomp.shapers.apply import dominant_frequencies, shape
-from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, residual_vibration
-from ffcomp.shapers.smooth import SHAPERS
+from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, Shaper, residual_vibration
 
 __all__ = ["DAMPING_RATIO", "SHAPERS", "Shaper", "dominant_frequencies", "residual_vibration", "shape"]

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from ffcomp.comparison.baselines import LinearPrinter, Shaping, shaped
+from ffcomp.comparison.methods import LinearPrinter, Shaping, shaped
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.simulation.expectation import Commanded
 from models.file import load_machine

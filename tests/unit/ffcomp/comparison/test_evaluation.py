@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.equal_quality import HIGHEST, LOWEST, ROUNDS, Search
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, evaluate
+from ffcomp.comparison.methods import LinearPrinter
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.simulation.expectation import Piece
 from models.file import load_machine

@@ -15,7 +15,7 @@ from ffcomp.diagnosis.problem import Observation
 from ffcomp.diagnosis.recording_faults import clipped_sensor, fault_of_recordings, odd_signal, shaper_on
 from ffcomp.measurement.faults import BadSensor, ShaperOn
 from ffcomp.numerics.delay import delayed
-from ffcomp.shapers.smooth import SHAPERS
+from ffcomp.shapers.pulses import SHAPERS
 
 RATE_HZ, N, NOISE = 1600.0, 2400, 0.05
 SIGNALS = ("acc_x", "acc_y", "acc_z")

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, contour
-from ffcomp.comparison.methods import COMPENSATED, ROBUST, inversion, tuned
+from ffcomp.comparison.methods import COMPENSATED, ROBUST, LinearPrinter, inversion, tuned
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.job import Job
 from ffcomp.inverse.model import InverseModel

@@ -14,8 +14,7 @@ from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
 from ffcomp.shapers.apply import shape
-from ffcomp.shapers.pulses import Shaper
-from ffcomp.shapers.smooth import SHAPERS
+from ffcomp.shapers.pulses import SHAPERS, Shaper
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import simulate_printer

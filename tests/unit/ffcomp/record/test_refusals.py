@@ -14,7 +14,7 @@ from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
 from ffcomp.record.result import JoinResult
-from ffcomp.shapers.smooth import SHAPERS
+from ffcomp.shapers.pulses import SHAPERS
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.recordings import write_captures

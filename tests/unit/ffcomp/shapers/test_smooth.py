@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ffcomp import shapers
-from ffcomp.shapers.smooth import KERNELS
+from ffcomp.shapers.pulses import KERNELS
 
 
 @pytest.mark.parametrize("name", KERNELS)
