@@ -20,11 +20,11 @@ The whole tree; each class has its exit code as the attribute `exit_code`:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from gcode.errors import GcodeError
-from models.errors import MachineFileError
+from models.errors import FaultyFile, MachineFileError
 
 
 class FfcompError(Exception):
@@ -45,25 +45,10 @@ class NothingToDo(FfcompError):
     exit_code = 3
 
 
-class MeasurementError(FfcompError, ValueError):
-    """A measurement that cannot be used.
-
-    Parameters
-    ----------
-    path : str
-        The file, as the user gave it.
-    problems : sequence of str
-        Full sentences, one per mistake: column (and row), value and the rule it breaks.
-    """
+class MeasurementError(FfcompError, FaultyFile):
+    """A measurement that cannot be used."""
 
     exit_code = 5
-
-    def __init__(self, path: str, problems: Sequence[str]) -> None:
-        self.path, self.problems = path, tuple(problems)
-        super().__init__(path, self.problems)
-
-    def __str__(self) -> str:
-        return "\n".join(f"{self.path}: {problem}" for problem in self.problems)
 
 
 class LimitsError(FfcompError):

@@ -1,6 +1,6 @@
 """The errors of a machine: each names the place and the rule.
 
-MachineFileError          a machine file that cannot be used (file, all its mistakes)
+MachineFileError          a machine file that cannot be used (FaultyFile: file, all its mistakes)
 UnreachableError          points that the machine cannot reach (indices, rule)
 """
 
@@ -13,14 +13,12 @@ if TYPE_CHECKING:
     from models.arrays import IntArray
 
 
-class MachineFileError(ValueError):
-    """A machine file that is missing, unreadable or wrong.
+class FaultyFile(ValueError):
+    """A file that is missing, unreadable or wrong.
 
-    path : the file or the machine's name, as the user gave it
-    problems : full sentences, one per mistake: key, value and the rule it breaks
+    path : the file, or what it is of, as the user gave it
+    problems : full sentences, one per mistake: its place, the value and the rule it breaks
     """
-
-    exit_code = 5
 
     def __init__(self, path: str, problems: Sequence[str]) -> None:
         self.path, self.problems = path, tuple(problems)
@@ -28,6 +26,12 @@ class MachineFileError(ValueError):
 
     def __str__(self) -> str:
         return "\n".join(f"{self.path}: {problem}" for problem in self.problems)
+
+
+class MachineFileError(FaultyFile):
+    """A machine file that cannot be used."""
+
+    exit_code = 5
 
 
 class UnreachableError(ValueError):
