@@ -59,13 +59,9 @@ def check_physics(machine: Machine) -> PhysicsChecks:
 
 
 def unstable_positions(machine: Machine) -> FloatArray:
-    """Find the positions, on a polar grid over the bed, with a vibration that does not decay.
+    """Find the positions (k, 2) mm, on a polar grid over the bed, with a vibration that does not decay.
 
     The pole at zero of a free axis does not count.
-
-    Returns
-    -------
-    (k, 2) mm, columns X Y; empty for a stable machine.
     """
     kinematics, everywhere = machine.kinematics, machine.vibration.position_dependent
     xy = kinematics.rings(RADII - 1, DIRECTIONS) if everywhere else np.array([*kinematics.sample_positions.values()])

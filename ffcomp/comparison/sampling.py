@@ -97,8 +97,6 @@ def accelerated(planned: PlannedProgram, machine: Machine, acceleration: float) 
 class Print:
     """A sliced print on a machine.
 
-    Parameters
-    ----------
     data, path : the G-code file and its name
     offset : added to every position, mm
     flavor : "" for what the machine file says, or else the file

@@ -168,14 +168,10 @@ class _Exchanging(EstimationProblem):
 def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Exchange | None:
     """Fit δ and a turn of the sensor for each crossed response to all of them together.
 
-    Parameters
-    ----------
+    None where there is no crossed response with the direct one of the same file.
+
     axes : the fitted axes; both x and y must be among them, with responses that show the sensors' signs.
     answers : responses of axes to commands, their own and each other's.
-
-    Returns
-    -------
-    None where there is no crossed response with the direct one of the same file.
     """
     fitted = {axis.name: axis for axis in axes}
     if not set("xy") <= fitted.keys():

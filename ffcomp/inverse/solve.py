@@ -141,16 +141,10 @@ class Sweep:
         return self._due - model.kinematics.forward(rows), states
 
     def answer(self, residual: FloatArray, gamma: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the change of the command that answers a residual.
+        """Return the change of γ (n + 1, 3) mm that answers a residual, and the plant's state by it at the last knot.
 
-        Parameters
-        ----------
         residual : (rows, 3) mm, the reference less the nozzle at the rows of all segments
         gamma : (n + 1, 3) mm, the coefficients that leave it; None: those of the sweep
-
-        Returns
-        -------
-        the change of γ (n + 1, 3) mm; the plant's response to it, (18,), at the last knot
         """
         rows = np.ascontiguousarray(residual).reshape(self.n, -1)
         known = np.concatenate([np.zeros((1, 3)), self.gamma if gamma is None else gamma])

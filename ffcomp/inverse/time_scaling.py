@@ -312,13 +312,9 @@ class ScaledSection:
         return under_way[self.plan.duration[under_way] > 0.0]
 
     def _slow(self, reference: Reference, violations: list[Violation], reach: int) -> bool:
-        """Make the moves of the violations slower; of several factors, a move gets the smallest.
+        """Make the moves of the violations slower, by the smallest of several factors; False if all keep their speed.
 
         reach : in segments around the violations: what is slower has to be braked for, on the moves before it
-
-        Returns
-        -------
-        False where all of them have to keep their speed
         """
         by_speed, by_acceleration, by_corner = np.ones((3, len(self.moves)))
         for violation in violations:

@@ -61,17 +61,12 @@ def periodic_frf(
     With several inputs, H = Y U⁺ from at least as many experiments with different commands. The spread of
     Y − H U over the periods holds the noise of outputs and inputs alike (Pintelon & Schoukens, System
     Identification, 2012, ch. 2 and 3); few periods say little about it, so it is averaged over nine neighbouring
-    lines before it goes through U⁺.
+    lines before it goes through U⁺. The lines are those where the weakest direction of the inputs reaches 5 % of the
+    strongest line nearby.
 
-    Parameters
-    ----------
     input : (e, n, i) or (n, i) of one experiment.
     output : (e, n, o) or (n, o).
     period_samples : length of a period, a whole number of samples. The first one is left out: the machine settles.
-
-    Returns
-    -------
-    At the excited lines: where the weakest direction of the inputs reaches 5 % of the strongest line nearby.
     """
     u, y = _experiments(input), _experiments(output)
     periods = u.shape[1] // period_samples - 1

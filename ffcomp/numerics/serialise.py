@@ -57,22 +57,10 @@ def json_object(value: Any) -> dict[str, Any]:
 
 
 def to_json(value: Any) -> Any:
-    """Convert a result to values that JSON holds.
+    """Convert a result to values that JSON holds; TypeError if one has no counterpart there.
 
-    Parameters
-    ----------
-    value : dataclass, mapping, array, path, enumeration member or plain value
-        Containers are converted recursively; an object with a `to_dict` becomes what that returns.
-
-    Returns
-    -------
-    dict, list, str, int, float, bool or None
-        NaN and infinite numbers become None, for JSON has neither.
-
-    Raises
-    ------
-    TypeError
-        If a value has no counterpart in JSON.
+    Containers are converted recursively; an object with a `to_dict` becomes what that returns. NaN and infinite numbers
+    become None, for JSON has neither.
     """
     if value is None or isinstance(value, str | bool | int):
         return value.value if isinstance(value, Enum) else value

@@ -67,12 +67,9 @@ class Uploads:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     async def take(self, name: str, pieces: AsyncIterator[bytes]) -> Upload:
-        """Write a file as it comes.
+        """Write a file as it comes; nothing is left of one that is refused.
 
-        Raises
-        ------
-        Refused
-            If it is larger than allowed, or the disk or the server's folder is full; nothing of it is left.
+        Raises Refused if it is larger than allowed, or the disk or the server's folder is full.
         """
         self.check_room()
         id_, size, checked = new_id(), 0, 0

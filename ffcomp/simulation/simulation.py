@@ -245,8 +245,6 @@ def simulate_command(
     Raises NothingToDo if the part holds too little motion, MachineFileError if the plant's kinematics are not the
     machine's, or it cannot rest, and GcodeError if the nozzle leaves the reach of its arms.
 
-    Parameters
-    ----------
     request : the part of the command, and its recording
     machine, plant : the one that the command was computed with, and the printer that moves
     warnings : about the command

@@ -141,8 +141,6 @@ class _Extremes:
 class MotionSink:
     """Writes the file that `FFCOMP_PRINT` plays; takes what `StepSink` takes, in the same order.
 
-    Parameters
-    ----------
     target : the file
     about : more of the header's keys
     """

@@ -131,8 +131,6 @@ class StepSink:
     Time runs on one clock from 0 s; between pieces the nozzle rests. The target is replaced by `finish`, whole, and
     without it nothing is left behind, whatever happens.
 
-    Parameters
-    ----------
     target : the archive
     error_s : None writes every step exactly. Otherwise rows of steps, none of them off by more than this or by a
         quarter of the way to its neighbours. 12.5 µs is a window as wide as Klipper's, which is 25 µs on one side.
