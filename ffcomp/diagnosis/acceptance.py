@@ -9,8 +9,9 @@ import numpy as np
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, believed, superfluous
 from ffcomp.diagnosis.held_out import HeldOut, left_of
 from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.problem import Parameter
+from ffcomp.diagnosis.problem import Parameter, declared_parameter
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
+from ffcomp.diagnosis.words import percent
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 
@@ -42,9 +43,11 @@ def rejections(
         left = sum(max(one.after, 0.0) * one.rows for one in held_out)
         if gained < by_chance:
             failed.append("data left out of the fit are simulated no better with it than by chance")
-        elif left / rows > estimation.tolerance and (share := left_of(held_out)) > settings.left:
-            failed.append(f"{100 * share:.0f} % of the discrepancy is left where it was left out of the fit")
-    failed += unfounded(best, intervals)
+        elif left / rows > estimation.tolerance and (share := left_of(held_out)) > best.may_leave(
+            settings.left, settings
+        ):
+            failed.append(f"{percent(share)} of the discrepancy is left where it was left out of the fit")
+    failed += [f"{n.name.removeprefix('effects.')} is not determined" for n in undetermined(best, intervals)]
     if retuned_too_far(best.fit, settings.chance_sd):
         failed.append("the file's numbers would have to be off further than their uncertainties together allow")
     for candidate in best.effects:
@@ -68,26 +71,25 @@ def retuned_too_far(fitted: Fit, chance_sd: float) -> bool:
     return bool(chdtrc(max(int(own.sum()), 1), float(np.sum(fitted.z[own] ** 2))) < ndtr(-chance_sd))
 
 
-def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
-    """Name the effects without a determined pitch, frequency or damping: nothing shows that they repeat, or swing.
+def undetermined(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[Parameter]:
+    """Return the effects' numbers that the data do not determine: open over their whole range, or shapes at its end.
 
-    A mode that swings far below the band is a mass that stays behind, and stands in for whatever changes a gain; one
-    that is damped as much as its limit creeps, as belts do.
+    Others would do as well, or none at all; only numbers with a usual value may be open, for then they change nothing.
+    A mode far below the band is a mass that stays behind, and stands in for whatever changes a gain; one that is damped
+    as much as its limit creeps, as belts do. A centre may be anywhere.
     """
-    return [
-        f"{name.removeprefix('effects.')} is not determined, so nothing shows that it {does}"
-        for does, key in (("repeats", ".pitch_mm"), ("swings", ".frequency_hz"), ("swings", ".damping_ratio"))
-        for name in [n for n in undetermined(best, intervals) if key in n][:1]
-    ]
-
-
-def undetermined(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
-    """Return the effects' numbers that the data do not determine: at their bounds, or open over the whole range."""
-    return [n.name for n in best.effect_parameters if n.low < n.high and _open(n, intervals[n.name])]
+    shapes = {n.name for c in best.effects for n in c.shapes if not n.name.endswith("_centre_mm")}
+    free = [n for n in best.effect_parameters if n.low < n.high]
+    return [n for n in free if _open(n, intervals[n.name]) or (n.name in shapes and _at_end(n, intervals[n.name]))]
 
 
 def _open(n: Parameter, interval: Estimate) -> bool:
-    at_high = interval.value >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)) if np.isfinite(n.high) else False
-    at_low = n.low != 0.0 and np.isfinite(n.low) and interval.value <= n.low + AT_BOUND * abs(n.low)
     wide = n.high - n.low > NARROW * max(abs(n.low), abs(n.high))  # a line's pitch is sought close to where it was seen
-    return at_high or at_low or (wide and interval.low <= n.low and interval.high >= n.high)
+    return declared_parameter(n).is_needed and wide and interval.low <= n.low and interval.high >= n.high
+
+
+def _at_end(n: Parameter, interval: Estimate) -> bool:
+    declared = declared_parameter(n)
+    to_zero = n.low == 0.0 or (declared.logarithmic and declared.bounds[0] == 0.0)  # a value of its own: "never"
+    at_low = not to_zero and np.isfinite(n.low) and interval.value <= n.low + AT_BOUND * abs(n.low)
+    return at_low or (np.isfinite(n.high) and interval.value >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)))

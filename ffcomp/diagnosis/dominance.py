@@ -25,11 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnosis.acceptance import unfounded
+from ffcomp.diagnosis.acceptance import undetermined
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of, solved
 from ffcomp.diagnosis.held_out import beyond_noise, by_place, left_out, motions_or_groups
 from ffcomp.diagnosis.hypotheses import Hypothesis, likeliest
-from ffcomp.identification.uncertainty import Estimate
+from ffcomp.diagnosis.problem import declared_parameter
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
@@ -114,7 +114,7 @@ class _Asked:
         if min(_excess(h, scope) for h in contenders) > most:
             return None  # even where they were fitted, none explains half of what one must elsewhere
         # an interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess
-        sound = [h for h in contenders if not unfounded(h, self._intervals(h))]
+        sound = [h for h in contenders if self._is_sound(h)]
         if not sound:
             return None
         whole, left = self.whole(scope), {h.names: self.left(self.left_out(h.names[0], h.fit), scope) for h in sound}
@@ -139,8 +139,10 @@ class _Asked:
             first, explained[first.names], tuple(Rival(o.names, explained[o.names]) for o in others), signal
         )
 
-    def _intervals(self, h: Hypothesis) -> dict[str, Estimate]:
-        return intervals_of(self.estimation, h.fit)
+    def _is_sound(self, h: Hypothesis) -> bool:
+        """Tell whether the numbers are determined without which there is no such effect."""
+        unknown = undetermined(h, intervals_of(self.estimation, h.fit))
+        return not any(declared_parameter(n).is_needed for n in unknown)
 
     def _contenders(self, scope: Scope) -> list[Hypothesis]:
         """Return the single effects to test: of the families that leave least the best, of the first all its laws."""
@@ -170,13 +172,8 @@ def _cause(h: Hypothesis) -> str:
 
 def _simplest(laws: Sequence[Hypothesis], left: Mapping[tuple[str, ...], float], ahead: float) -> Hypothesis:
     """Return the law of fewest numbers that no other leaves far behind; `laws` : the one that leaves least first."""
-    few = sorted(laws, key=_needed)
+    few = sorted(laws, key=lambda h: h.needed)
     return next(h for h in few if left[h.names] <= ahead * left[laws[0].names])
-
-
-def _needed(h: Hypothesis) -> int:
-    """Count the numbers without which there is no such effect; others have a usual value."""
-    return sum(p.role == "amplitude" or p.default is None for p in CATALOGUE[h.names[0]].parameters)
 
 
 def _explained_by(h: Hypothesis, rows: NDArray[np.int64], residual: FloatArray) -> float:

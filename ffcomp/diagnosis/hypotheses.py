@@ -36,6 +36,17 @@ class Hypothesis:
         """What the effects are of, sorted: laws of one cause are one family."""
         return tuple(sorted(CATALOGUE[c.name].cause for c in self.effects))
 
+    def may_leave(self, share: float, settings: SearchSettings) -> float:
+        """Return the share of a discrepancy that its formulas may leave: hardly any where real machines know no other.
+
+        Friction and play have many laws; a delay, a mass or a gain has one.
+        """
+        return min(share, settings.one_law) if all(CATALOGUE[c.name].one_law for c in self.effects) else share
+
+    def is_trace_of(self, gap: float, settings: SearchSettings) -> bool:
+        """Tell whether it leaves no more of a discrepancy without it than its formulas may."""
+        return self.discrepancy < self.may_leave(settings.trace, settings) * gap
+
     @property
     def discrepancy(self) -> float:
         """See `Fit.discrepancy`."""
@@ -50,6 +61,11 @@ class Hypothesis:
     def effect_count(self) -> int:
         """Number of the effects' parameters."""
         return sum(len(c.parameters) for c in self.effects)
+
+    @property
+    def needed(self) -> int:
+        """Number of the effects' parameters without which there is no such effect; others have a usual value."""
+        return sum(p.is_needed for c in self.effects for p in CATALOGUE[c.name].parameters)
 
     @property
     def machine_parameters(self) -> tuple[Parameter, ...]:
@@ -144,11 +160,8 @@ def competing_with(
         is significant, and no effect has exactly our shape: one that leaves a hundredth of it cannot be ruled out.
     """
     others = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
-    return [
-        h
-        for h in others
-        if best.fit.ahead_of(h.fit) / share < 2 * settings.significant or h.discrepancy < settings.trace * gap
-    ]
+    nearly = 2 * settings.significant * share
+    return [h for h in others if best.fit.ahead_of(h.fit) < nearly or h.is_trace_of(gap, settings)]
 
 
 # ---- the remaining discrepancy -------------------------------------------------------------------

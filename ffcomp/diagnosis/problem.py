@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ffcomp.measurement.faults import REPEATS_REMEDY, RepeatComparison
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, catalogue_of
-from models.effects.effect import Effect
+from models.effects.effect import Effect, EffectParameter
 from models.machine import Machine
 from models.quantities import Quantities
 
@@ -41,6 +41,12 @@ class Parameter:
 def stem_of(name: str) -> str:
     """Return a parameter's name without the tower or axis that it is of."""
     return name.partition("[")[0]
+
+
+def declared_parameter(n: Parameter) -> EffectParameter:
+    """Return the declaration of an effect's parameter."""
+    _, effect, key = stem_of(n.name).split(".")
+    return CATALOGUE[effect].by_name[key]
 
 
 def number_of(name: str) -> str:

@@ -248,8 +248,8 @@ class DiagnosisResult:
     def undetermined(self) -> list[str]:
         """Numbers of the effects at their bounds, or open over all of their range."""
         best = self.search.best
-        names = [] if best is None else undetermined(best, self.search.intervals)
-        return [self.problem.quantities.key(name).removeprefix("effects.") for name in names]
+        numbers = [] if best is None else undetermined(best, self.search.intervals)
+        return [self.problem.quantities.key(n.name).removeprefix("effects.") for n in numbers]
 
     @property
     def confounded_with(self) -> list[Confusable]:

@@ -84,6 +84,11 @@ class EffectParameter:
         return 0.0 if self.power > 0 else math.inf
 
     @property
+    def is_needed(self) -> bool:
+        """Whether there is no such effect without it; others have a usual value."""
+        return self.role == "amplitude" or self.default is None
+
+    @property
     def is_pitch(self) -> bool:
         """Whether it is the distance after which something repeats."""
         return self.name == "pitch_mm"
@@ -191,6 +196,11 @@ class Effect:
     corrects_file: bool = False  # it only corrects a number of the machine file
     of_motors: bool = False  # its values belong to belts and motors, not to carriages or axes
     shifts_time: bool = False  # a recorded sample depends on others than itself
+
+    @property
+    def one_law(self) -> bool:
+        """Whether no other law of it is known: a number that is off, a recorded signal, a delay."""
+        return bool(self.fold or self.measure) or self.law_of == "lateness"
 
     @property
     def kind(self) -> Kind:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import rejections, unfounded
+from ffcomp.diagnosis.acceptance import rejections, undetermined
 from ffcomp.diagnosis.fit import FORMULA_ERROR, Fit, intervals_of
 from ffcomp.diagnosis.held_out import HeldOut, left_of
 from ffcomp.diagnosis.hypotheses import Hypothesis
@@ -54,7 +54,7 @@ def test_what_a_hypothesis_fails_by(scatter: float, after: list[float], z: float
     estimation: Any = SimpleNamespace(settings=SearchSettings(), tolerance=1.0, problem=problem)
     numbers = tuple(Parameter(f"carriage.number_{i}", 1.0, 0.02) for i in range(10))
     fit: Any = SimpleNamespace(overdispersion=scatter, parameters=numbers, z=np.full(10, z))
-    best: Any = SimpleNamespace(fit=fit, effects=(), effect_parameters=())
+    best: Any = SimpleNamespace(fit=fit, effects=(), effect_parameters=(), may_leave=lambda share, _: share)
     held_out = [HeldOut((0.0, 0.0), "", 100, 1e3, x, 1e3, power=(1.0, x / 1e3, 1.2, 0.0)) for x in after]
     assert rejections(estimation, best, held_out, {}) == [said] * bool(said)
 
@@ -63,9 +63,15 @@ def test_what_a_hypothesis_fails_by(scatter: float, after: list[float], z: float
 def test_a_mode_that_is_damped_as_much_as_it_can_be_does_not_swing(ratio: float, refused: bool) -> None:
     h = frame_mode((3.0, (ratio - DAMPING.start) / DAMPING.sd))
     intervals = {n.name: Estimate(x, 0.01, x - 0.01, x + 0.01) for n, x in ((MASS, 0.3), (DAMPING, ratio))}
-    found = unfounded(h, intervals)
+    found = undetermined(h, intervals)
     assert bool(found) == refused
-    assert all("frame_mode.damping_ratio" in each and "swings" in each for each in found)
+    assert [n.name for n in found] == ["effects.frame_mode.damping_ratio"] * refused
+
+
+@pytest.mark.parametrize(("effect", "share"), [("frame_mode", 0.05), ("sensor_gain", 0.002), ("command_delay", 0.002)])
+def test_an_effect_of_one_law_may_leave_hardly_anything(effect: str, share: float) -> None:
+    h = frame_mode((3.0, 1.0))
+    assert replace(h, effects=(replace(h.effects[0], name=effect),)).may_leave(0.05, SearchSettings()) == share
 
 
 def test_an_effects_size_is_never_known_better_than_its_formula() -> None:

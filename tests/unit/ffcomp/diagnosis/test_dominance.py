@@ -13,6 +13,7 @@ from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
 
 RATE_HZ, N, NOISE = 800.0, 1600, 0.01
 PLACES = ((0.0, 0.0), (60.0, 50.0), (-70.0, -60.0), (40.0, -60.0))
@@ -34,7 +35,7 @@ REST = tones(57, 71)  # nothing known makes it
 
 
 def size_of(name: str) -> Parameter:
-    return Parameter(f"effects.{name}.size", 0.0, 1.0)
+    return Parameter(f"effects.{name}.{CATALOGUE[name].amplitudes[0].name}", 0.0, 1.0)
 
 
 class Linear(Problem):
@@ -92,7 +93,7 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
     found = dominant_of(Linear((1.0, 1.02, 0.98, 1.0), 0.5, (RUBS, BENDS)))
     assert found is not None and found.hypothesis.names == (RUBS,)
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
-    assert found.hypothesis.fit.values["effects.coulomb_friction.size"] == pytest.approx(1.0, abs=0.02)
+    assert found.hypothesis.fit.values["effects.coulomb_friction.force_n"] == pytest.approx(1.0, abs=0.02)
     assert [rival.names for rival in found.rivals] == [(BENDS,)] and found.rivals[0].explained < 0.05
 
 
