@@ -2,7 +2,7 @@
 
     expand    score every effect next to each hypothesis of the beam, simulate it at several sizes, and fit it quickly
               from the best one: in coarse simulations of the loudest motions
-    fit       fit the likeliest fully, in the form of each effect that pays
+    fit       fit the likeliest fully, in the smallest form of each effect that pays
     prune     keep the likeliest few; stop when a level gains nothing that is significant
     finish    drop what the best does not need, and fit it with exact derivatives
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ffcomp.diagnosis.acceptance import retuned_too_far
 from ffcomp.diagnosis.fidelity import QUICK_GAIN, RENEWED, continue_fit, fit_exactly, quickest
 from ffcomp.diagnosis.fit import (
     EstimationProblem,
@@ -89,9 +90,10 @@ def find_best(search: Search) -> Selection:
     quick = _quick_fits(search, none, search.screened, _chosen(search, [search.retuned]))
     beam = tried = _level(search, quick) or [none]
     best = beam[0]
-    while len(best.effects) < settings.most_effects and leaves_excess(search.estimation, best.fit) and search.may_go_on:
+    while len(best.effects) < settings.most_effects and _leaves_something(search, best) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
-        near = [best] if _is_trace(search, best) else [h for h in beam if comparable(h, best, settings.near, settings)]
+        small = leaves_excess(search.estimation, best.fit) and _is_trace(search, best)
+        near = [best] if small else [h for h in beam if comparable(h, best, settings.near, settings)]
         chosen = _chosen(search, [h.fit for h in near])
         beam = _level(search, [child for h in near for child in _expanded(search, h, chosen)])
         tried = [*tried, *beam]
@@ -109,7 +111,7 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
     """
     estimation, settings = search.estimation, search.settings
     share = 1 - settings.left if _is_trace(search, smaller) else settings.dominant
-    if not significant(larger.fit, smaller.fit, settings, share):
+    if not _explains(search, larger, smaller, share):
         reason = "not significant"
     else:
         least = estimation.tolerance * len(estimation.measured)
@@ -121,9 +123,22 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
     return not reason
 
 
+def _leaves_something(search: Search, h: Hypothesis) -> bool:
+    """Tell whether more is left than noise, or hidden in the file's numbers, which had to go too far."""
+    return leaves_excess(search.estimation, h.fit) or retuned_too_far(h.fit, search.settings.chance_sd)
+
+
+def _explains(search: Search, larger: Hypothesis, smaller: Hypothesis, share: float) -> bool:
+    """Tell whether a larger hypothesis explains this share of a smaller one's rest, or frees the file's numbers."""
+    if leaves_excess(search.estimation, smaller.fit):
+        return significant(larger.fit, smaller.fit, search.settings, share)
+    far = retuned_too_far(larger.fit, search.settings.chance_sd)
+    return not far and significant(larger.fit, smaller.fit, search.settings, 0.0)
+
+
 def _is_trace(search: Search, h: Hypothesis) -> bool:
     """Tell whether no more is left than the formulas of the effects may leave."""
-    return h.discrepancy < search.settings.trace * search.retuned.discrepancy
+    return h.is_trace_of(search.retuned.discrepancy, search.settings)
 
 
 def _inexact(search: Search, h: Hypothesis) -> bool:
@@ -133,7 +148,7 @@ def _inexact(search: Search, h: Hypothesis) -> bool:
     """
     others = [{n: x for n, x in h.fit.values.items() if n not in {p.name for p in c.parameters}} for c in h.effects]
     least = min(beyond_noise(r) for r in search.estimation.residuals(others))
-    return beyond_noise(h.fit.residual) < search.settings.trace * least
+    return beyond_noise(h.fit.residual) < h.may_leave(search.settings.trace, search.settings) * least
 
 
 # ---- expand --------------------------------------------------------------------------------------
@@ -295,7 +310,7 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
 
 
 def _richer(search: Search, h: Hypothesis, share: float) -> list[Hypothesis]:
-    """Return the most promising starts with one effect in a form with more numbers.
+    """Return the smallest starts with one effect in a form with more numbers that promise most of what any does.
 
     What a form adds begins where it helps most, with everything else retuned to first order; one that promises less
     than half of what it must bring is left out.
@@ -307,7 +322,12 @@ def _richer(search: Search, h: Hypothesis, share: float) -> list[Hypothesis]:
             begun.append(_best_start(part, start, h))
     now = part.fit.chi_squared + float(part.fit.z @ (part.fit.prior * part.fit.z))
     enough = now - share * max(now - len(part.fit.residual), 0.0) / 2
-    return [start for cost, start in sorted(begun, key=lambda each: each[0])[: settings.forms] if cost < enough]
+    best = min((cost for cost, _ in begun), default=np.inf)
+    near = [each for each in begun if each[0] < min(enough, now - settings.dominant * (now - best))]
+    return [
+        start
+        for _, start in sorted(near, key=lambda each: (each[1].needed, each[1].effect_count, each[0]))[: settings.forms]
+    ]
 
 
 def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, Hypothesis]:
@@ -380,7 +400,7 @@ def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> 
         search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
         return best
     best = fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
-    laws = [h for h in likeliest(tried) if h.causes == best.causes and h.effect_count < best.effect_count]
+    laws = [h for h in likeliest(tried) if h.causes == best.causes and h.needed < best.needed]
     for law in (h for h in laws[:1] if comparable(h, best, 2.0, search.settings)):
         simpler = fit_exactly(search.estimation, law, search.progress)
         gains = significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share)
@@ -397,7 +417,7 @@ def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis])
         fitted = [continue_fit(estimation, rest, search.progress) for rest in rests]
         known = [h for h in tried if h.names in [rest.names for rest in rests]]
         smaller = likeliest([*fitted, *known])[0]
-        needed = significant(best.fit, smaller.fit, search.settings, search.settings.dominant)
+        needed = _explains(search, best, smaller, search.settings.dominant)
         outcome, reason = "refused" if needed else "kept", f"of {' + '.join(best.names)}"
         estimation.trace.add("drop", smaller.names, outcome=outcome, reason=reason)
         if needed:
