@@ -72,10 +72,10 @@ def main() -> None:
 
 
 def with_earlier(found: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the earlier banks of the page, the newest first, with this one among them."""
+    """Return the earlier banks of the page, the five newest, with this one first; older ones are small."""
     kept = ("cases", "seed", "seconds", "done", "commits", "rates")
     others = [bank for bank in results_of("diagnosis")["earlier"] if bank["seed"] != found["seed"]]
-    return [{key: found[key] for key in kept}, *others]
+    return [{key: found[key] for key in kept}, *others[:4]]
 
 
 def _options() -> argparse.Namespace:
