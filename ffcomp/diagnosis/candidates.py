@@ -282,7 +282,7 @@ def _shape(effect: Effect, p: EffectParameter, first: float) -> Parameter:
     if p.size == "direction":
         return Parameter(_full(effect, p), 0.0, 2.0, -2 * np.pi, 2 * np.pi)
     low, high = p.typical
-    return Parameter(_full(effect, p), first, max(high - low, abs(first)) / 2, *p.bounds)
+    return Parameter(_full(effect, p), first, max(high - low, abs(first)) / 2, *(p.on_printers or p.bounds))
 
 
 def _starts(p: EffectParameter, machine: Machine) -> list[float]:

@@ -147,10 +147,11 @@ STRIBECK_FRICTION = Effect(
         shape(
             "velocity_mm_per_s",
             "speed where the excess falls to a third",
-            (0.1, 500),
+            (0.1, 1e5),
             (2, 50),
             2.0,
             EACH,
+            on_printers=(0.1, 500),
             tried=lambda s: [1e3 * s.speed_m_per_s * share for share in (0.03, 0.1, 0.3)],
         ),
         shape("exponent", "δ: how sharply it fades", (0.3, 6), (0.5, 2), 0.1, EACH, default=2.0),
