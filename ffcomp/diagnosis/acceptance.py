@@ -38,16 +38,15 @@ def rejections(
     if not held_out:
         failed.append("it was tested nowhere else: there is one experiment only")
     else:
-        rows = sum(one.rows for one in held_out)
+        rows, allowed = sum(one.rows for one in held_out), best.may_leave(settings.left, settings)
         gained = sum((one.before - one.after) * one.rows for one in held_out)
         left = sum(max(one.after, 0.0) * one.rows for one in held_out)
         if gained < by_chance:
             failed.append("data left out of the fit are simulated no better with it than by chance")
-        elif left / rows > estimation.tolerance and (share := left_of(held_out)) > best.may_leave(
-            settings.left, settings
-        ):
+        elif left / rows > estimation.tolerance and (share := left_of(held_out)) > allowed:
             failed.append(f"{percent(share)} of the discrepancy is left where it was left out of the fit")
-    failed += [f"{n.name.removeprefix('effects.')} is not determined" for n in undetermined(best, intervals)]
+    unknown = [estimation.problem.quantities.key(n.name) for n in undetermined(best, intervals)]
+    failed += [f"{key.removeprefix('effects.')} is not determined" for key in unknown]
     if retuned_too_far(best.fit, settings.chance_sd):
         failed.append("the file's numbers would have to be off further than their uncertainties together allow")
     for candidate in best.effects:
