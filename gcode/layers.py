@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_right
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -48,25 +46,30 @@ def outer_walls(labels: Labels) -> BoolArray:
     return named[labels.feature]
 
 
-def labels(program: Program, at_first: str = UNNAMED) -> Labels:
-    """Layers and features of the moves; without layer comments, layers are the heights of extruding moves.
+def labels(program: Program, at_first: str = UNNAMED, before: int = 0) -> Labels:
+    """Layers and features of the moves.
 
     at_first : the feature when the program begins
+    before : as of `layers_of`
     """
-    moves = len(program.moves)
-    layer_at, feature_at = [], [(0, at_first)]
-    for event in program.events:
-        line = program.lines[event.line]
-        if begins_layer(line):
-            layer_at.append(event.move)
-        elif name := begins_feature(line):
-            feature_at.append((event.move, name))
-    features = tuple(dict.fromkeys(name for _, name in feature_at))
-    begins, names = zip(*feature_at, strict=True)
-    current = np.searchsorted(np.array(begins), np.arange(moves), side="right") - 1
+    named = ((event.move, begins_feature(program.lines[event.line])) for event in program.events)
+    begins, names = zip((0, at_first), *((move, name) for move, name in named if name), strict=True)
+    features = tuple(dict.fromkeys(names))
+    current = np.searchsorted(np.array(begins), np.arange(len(program.moves)), side="right") - 1
     feature = np.array([features.index(name) for name in names], dtype=np.int64)[current]
-    layer = _counted(np.array(layer_at), moves) if layer_at else _by_height(program)
-    return Labels(layer, feature, features)
+    return Labels(layers_of(program, before), feature, features)
+
+
+def layers_of(program: Program, before: int = 0) -> IntArray:
+    """Return the moves' layers, (n,) from 0; without layer comments, they are the heights of extruding moves.
+
+    before : layers of the file that have begun before the program
+    """
+    starts = layer_starts(program)
+    if not starts and not before:
+        return _by_height(program)
+    begun = before + np.searchsorted(starts, np.arange(len(program.moves)), side="right")
+    return np.maximum(begun - 1, 0).astype(np.int64)
 
 
 def begins_layer(line: bytes) -> bool:
@@ -91,10 +94,6 @@ def layer_starts(program: Program) -> list[int]:
     return [event.move for event in program.events if begins_layer(program.lines[event.line])]
 
 
-def _counted(begins: IntArray, moves: int) -> IntArray:
-    return np.maximum(np.searchsorted(begins, np.arange(moves), side="right") - 1, 0).astype(np.int64)
-
-
 def _by_height(program: Program) -> IntArray:
     """Layers by the height of the last extruding move that set a new one."""
     end, start = program.moves.end, program.moves.start
@@ -109,25 +108,3 @@ def _by_height(program: Program) -> IntArray:
     known = np.where(extrudes, np.searchsorted(heights, height), -1)
     last = np.maximum.accumulate(np.where(extrudes, np.arange(len(end)), -1))
     return np.where(last >= 0, known[np.maximum(last, 0)], 0).astype(np.int64)
-
-
-class LayerLookup:
-    """The layers of a program's moves, computed on demand."""
-
-    def __init__(self, program: Program, before: int) -> None:
-        """Start counting after `before` layers of the file."""
-        self.program, self.before = program, before
-
-    @cached_property
-    def _starts(self) -> list[int]:
-        return layer_starts(self.program)
-
-    @cached_property
-    def _by_height(self) -> IntArray:
-        return labels(self.program).layer
-
-    def of(self, move: int) -> int:
-        """Return a move's layer, counted from 0."""
-        if not self._starts and not self.before:
-            return int(self._by_height[move])
-        return max(self.before + bisect_right(self._starts, move) - 1, 0)

@@ -17,7 +17,7 @@ from ffcomp.inverse.solve import held, solve
 from ffcomp.inverse.time_scaling import PlannedSection, Replanner
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.trajectory import Section
-from gcode.layers import LayerLookup
+from gcode.layers import layers_of
 from gcode.program import EventKind, Program
 from gcode.slicing import some
 from models.machine import Machine
@@ -25,8 +25,8 @@ from models.machine import Machine
 
 def replanner_of(program: Program, machine: Machine, layers_before: int) -> Replanner:
     """Return the planner of a program's firmware, for some of its moves; so many layers have begun before."""
-    layers = LayerLookup(program, layers_before)
-    return Replanner(planner_limits(machine), section_planner(program, machine), layers.of)
+    layers = layers_of(program, layers_before).tolist()
+    return Replanner(planner_limits(machine), section_planner(program, machine), layers.__getitem__)
 
 
 def solutions(

@@ -23,7 +23,7 @@ from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_li
 from ffcomp.planner.lookahead import phases_from_corners, plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory, split_sections
 from gcode.dialect import KLIPPER
-from gcode.layers import UNNAMED, LayerLookup, labels
+from gcode.layers import UNNAMED, labels
 from gcode.program import Moves, Program
 from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -57,13 +57,12 @@ def faster_program(
     kept : (n,), moves that keep the slicer's motion whatever they are
     """
     limits, moves = planner_limits(model.machine), program.moves
-    named, lookup = labels(program, feature), LayerLookup(program, layers_before)
-    layer = np.array([lookup.of(move) for move in range(len(moves))], dtype=np.int64)
+    named = labels(program, feature, layers_before)
     stop_before, wait_before = stops_and_waits(program)
     plan = planner_of(program, model.machine)(moves, stop_before=stop_before, wait_before=wait_before)
     kept = np.zeros(len(moves), dtype=np.bool_) if kept is None else kept
     if bound.keeps_first_layer:
-        kept = kept | (layer == 0)
+        kept = kept | (named.layer == 0)
     ceiling = raised_limits(moves, named, kept, bound, model.machine, limits)
     quicker, still_s = ceiling.moves, plan.end_t
     ensemble, searches = ensemble_of(model, bound.safety), list[tuple[slice, SectionSearch]]()
@@ -78,7 +77,7 @@ def faster_program(
         quicker = _with(quicker, part, each.moves)
     quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
     shortest_s = SHORTEST_LAYER_S if bound.min_layer_time_s is None else bound.min_layer_time_s
-    quicker, cooled = _cooled(quicker, ~ceiling.kept, layer, plan, quick, shortest_s)
+    quicker, cooled = _cooled(quicker, ~ceiling.kept, named.layer, plan, quick, shortest_s)
     if cooled.any():
         quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
     shares = time_by_limit(quick, quicker, ceiling, cooled, quick.end_t)
