@@ -84,7 +84,8 @@ def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, li
     chord = dist(start, end)
     if chord < _SAME_POINT_MM:
         raise GcodeError("An arc given by R ends where it starts; a full circle needs I and J.", line)
-    if chord / 2 > abs(radius) + _allowance(abs(radius)):
+    shorter = min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * abs(radius)))  # a radius may be by so much
+    if chord / 2 > abs(radius) + shorter:
         raise GcodeError(f"R{radius:g} cannot span {chord:.3f} mm; a radius is at least half the chord.", line)
     # The centre stands on the chord's bisector, left of the direction of travel for a short counter-clockwise arc.
     height = copysign(sqrt(max(0.0, radius * radius - chord * chord / 4)), radius) * (-1 if clockwise else 1)
@@ -98,8 +99,3 @@ def _checked(arc: Arc, line: int | None) -> Arc:
     if length > MAX_ARC_MM:
         raise GcodeError(f"The arc is {length:.0f} mm long; arcs may be {MAX_ARC_MM:.0f} mm long at most.", line)
     return arc
-
-
-def _allowance(radius: float) -> float:
-    """Return how much shorter than half the chord a radius may be: rounding plus 1 % of the radius, at most 0.5 mm."""
-    return min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * radius))

@@ -147,13 +147,6 @@ _PATIENCE_S, _SLOWEST_BYTES_PER_S = 30, 100_000  # time limit of the codec; it i
 # -- the codec --
 
 
-def _check_codec(path: str) -> None:
-    if find_spec("pybgcode") is None:
-        rule = "to read it, pip install 'ffcomp[bgcode]'"
-        slicer = "or switch 'Supports binary G-code' off in the slicer's printer settings"
-        raise UnsupportedGcode(f"The file is binary G-code; {rule}, {slicer}.", path=path)
-
-
 def _converted(source: Path, target: Path, path: str, options: Mapping[str, str] | None = None) -> None:
     """Run the codec. `options` are for packing (see `gcode.bgcode_codec`); None unpacks."""
     arguments, size = [] if options is None else [json.dumps(options)], source.stat().st_size
@@ -216,13 +209,18 @@ def open_bgcode(reopen: _Open, path: str) -> Iterator[Bgcode]:
     size = sum(packed for _, _, packed in sizes)
     if 2 * sum(unpacked for _, unpacked, _ in sizes) > most_unpacked(size):  # MeatPack halves
         raise too_much(size, path)
-    _check_codec(path)
+    if find_spec("pybgcode") is None:
+        rule = "to read it, pip install 'ffcomp[bgcode]'"
+        slicer = "or switch 'Supports binary G-code' off in the slicer's printer settings"
+        raise UnsupportedGcode(f"The file is binary G-code; {rule}, {slicer}.", path=path)
     with TemporaryDirectory() as folder:
-        text = Path(folder, "text")
+        packed, plain, text = (Path(folder, name) for name in ("packed", "plain", "text"))
         with reopen() as file:
-            _write(Path(folder, "packed"), _first(file, path))
-        _unpack(Path(folder, "packed"), text, path)
-        Path(folder, "packed").unlink()
+            _write(packed, _first(file, path))
+        _converted(packed, plain, path)
+        packed.unlink()
+        _write(text, _together(blocks(plain)))
+        plain.unlink()
         with open(text, "rb") as file:
             check_text(file.read(ENDS), path)
         yield Bgcode({"": text}, reopen, path)
@@ -234,14 +232,6 @@ def _first(file: BinaryIO, path: str) -> Iterator[bytes]:
     file.seek(0)
     for block in blocks_of(file, path):
         yield with_metadata(block, first_times)
-
-
-def _unpack(packed: Path, text: Path, path: str) -> None:
-    """Unpack to text and move comments back behind their commands."""
-    plain = text.with_name("plain")
-    _converted(packed, plain, path)
-    _write(text, _together(blocks(plain)))
-    plain.unlink()
 
 
 def _spliced(old: BinaryIO, new: BinaryIO, path: str) -> Iterator[bytes]:

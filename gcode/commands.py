@@ -76,7 +76,9 @@ def _move_away(modal: Modal, command: Command) -> Effect:
 
 
 def _home(modal: Modal, command: Command) -> Effect:
-    modal.home()
+    """Homing also undoes G92. On a delta it moves all axes, whichever were named."""
+    modal.take_names_back()
+    modal.forget_even_roughly()
     return MOVED
 
 

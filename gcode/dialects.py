@@ -230,7 +230,9 @@ def choose_flavor(requested: str, stated: str, sign: FlavorSign, path: str = "")
     """
     flavor = requested or stated
     if not flavor:
-        return FlavorChoice(sign.flavor, _reason(sign))
+        because = f"the print holds {sign.text}" if sign.text else "nothing in the print names another"
+        doubt = "" if sign.certain else f" If that is wrong: {REMEDY}."
+        return FlavorChoice(sign.flavor, f"Firmware: {sign.flavor}, because {because}.{doubt}")
     if flavor not in DIALECTS:
         raise UnsupportedGcode(f"Unknown flavor {flavor!r}: use {', '.join(sorted(DIALECTS))}.", path=path)
     by = "requested" if requested else "the machine file says"
@@ -240,9 +242,3 @@ def choose_flavor(requested: str, stated: str, sign: FlavorSign, path: str = "")
     rule = f"The print is made for {sign.flavor} ({sign.text}), but compensated for {flavor}, as {by}"
     remedy = f"If the printer runs {sign.flavor}, many segments will be late: use --flavor {sign.flavor}"
     return FlavorChoice(flavor, reason, f"{rule}. {remedy}.")
-
-
-def _reason(sign: FlavorSign) -> str:
-    because = f"the print holds {sign.text}" if sign.text else "nothing in the print names another"
-    doubt = "" if sign.certain else f" If that is wrong: {REMEDY}."
-    return f"Firmware: {sign.flavor}, because {because}.{doubt}"

@@ -291,8 +291,8 @@ class _Reader:
             self.lost = self._number(at), f"{modal.motion} {elsewhere}{words[elsewhere]:g}"
             self._event(at, MOVED)
             return
-        end = modal.target(words)
-        if any(isnan(number) for number in (*modal.position, *end)) or not self._z_can_be_followed(words):
+        end, z_is_followed = modal.target(words), modal.z_known or "Z" not in words or not modal.is_absolute(2)
+        if any(isnan(number) for number in (*modal.position, *end)) or not z_is_followed:
             self._pass_through(at, words)
             return
         arc = modal.motion in ("G2", "G3") and not _ARC_WORDS.isdisjoint(words)
@@ -307,10 +307,6 @@ class _Reader:
             return "H"
         from_kept = "R" in words and self.modal.motion in ("G0", "G1") and self.modal.dialect.kept_positions
         return "R" if from_kept else ""
-
-    def _z_can_be_followed(self, words: dict[str, float]) -> bool:
-        modal = self.modal
-        return modal.z_known or "Z" not in words or not modal.is_absolute(2)
 
     def _pass_through(self, at: int, words: dict[str, float]) -> None:
         """Let the firmware plan a move from or to an unknown position."""

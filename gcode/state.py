@@ -88,11 +88,6 @@ class Modal:
         self.forget()
         self.guess[:3] = [nan, nan, nan]
 
-    def home(self) -> None:
-        """Homing also undoes G92. On a delta it moves all axes, whichever were named."""
-        self.take_names_back()
-        self.forget_even_roughly()
-
     def pass_through(self, words: dict[str, float]) -> tuple[Vector4, Vector4]:
         """Follow a move from or to an unknown position; returns its start and end as guessed.
 

@@ -145,7 +145,8 @@ def whole_lines(blocks: Iterable[bytes], part_bytes: int = PART_BYTES) -> Iterat
         pending += piece
         if len(pending) < part_bytes:
             continue
-        cut = _after_last_line(pending, searched)
+        # a last \r may be half of a \r\n
+        cut = max(pending.rfind(b"\n", searched), pending.rfind(b"\r", searched, len(pending) - 1)) + 1
         if cut:
             yield bytes(pending[:cut])
             del pending[:cut]
@@ -160,8 +161,3 @@ def _shorter(blocks: Iterable[bytes], longest: int) -> Iterator[bytes]:
             yield block
         else:
             yield from (block[at : at + longest] for at in range(0, len(block), longest))
-
-
-def _after_last_line(text: bytearray, begin: int) -> int:
-    r"""Return the end of the last complete line after `begin`; 0: none. A last \r may be half of a \r\n."""
-    return max(text.rfind(b"\n", begin), text.rfind(b"\r", begin, len(text) - 1)) + 1
