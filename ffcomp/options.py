@@ -20,17 +20,20 @@ FIGURES = ("", ".png", ".svg", ".pdf")
 FLAVORS = tuple(DIALECTS)
 
 
-def parse_offset(text: str) -> Offset | None:
-    """Read `X,Y` in mm; None for `auto`."""
-    if text == "auto":
-        return None
+def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
+    """Read `X,Y`."""
     try:
         x, y = (float(part) for part in text.split(","))
         if not isfinite(x + y):
             raise ValueError
     except ValueError:
-        raise RequestError(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
+        raise RequestError(f"{option} {text!r}: two numbers with a comma between them{more}.") from None
     return x, y
+
+
+def parse_offset(text: str) -> Offset | None:
+    """Read `X,Y` in mm; None for `auto`."""
+    return None if text == "auto" else number_pair("--offset-mm", text, ", in mm")
 
 
 def parse_figure(text: str) -> Path:

@@ -13,6 +13,7 @@ import numpy as np
 from ffcomp.errors import LimitsError, RequestError
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.serialise import keys
+from ffcomp.options import number_pair
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
@@ -21,7 +22,7 @@ from ffcomp.record.multisine import Band, always_moving, band
 from ffcomp.record.page import PageRequest, make_page, page_lines, twins
 from ffcomp.record.plan import Excitation, Experiment, Motion, Page, Plan, save_plan, segment_motion
 from ffcomp.record.prints import plan_print, print_lines
-from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
+from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, one_of
 from ffcomp.request import shared_with
 from ffcomp.result import Fact, Result
 from gcode.atomic_write import replace_atomically

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
 from ffcomp.errors import RequestError
-from ffcomp.options import CAPTURE_AXES, FIGURE, FLAVORS, MACHINE_NAME, MOVES_PLAN
+from ffcomp.options import CAPTURE_AXES, FIGURE, FLAVORS, MACHINE_NAME, MOVES_PLAN, number_pair
 from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument, Option, Request
 
 Purpose = Literal["identify", "diagnose", "check", "scan"]
@@ -28,17 +27,6 @@ CHIP = Option(
     metavar="NAME",
 )
 RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, metavar="DIR", writes="folder")
-
-
-def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
-    """Read `X,Y`."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-        if not isfinite(x + y):
-            raise ValueError
-    except ValueError:
-        raise RequestError(f"{option} {text!r}: two numbers with a comma between them{more}.") from None
-    return x, y
 
 
 _PLACED = {"at", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}

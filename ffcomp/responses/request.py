@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from ffcomp.errors import RequestError
-from ffcomp.options import MACHINE_NAME
+from ffcomp.options import MACHINE_NAME, number_pair
 from ffcomp.request import ADVANCED, MACHINE, MachineLike, Option, Request
 
 if TYPE_CHECKING:
@@ -22,14 +22,7 @@ Position = tuple[float, float]
 
 def parse_positions(texts: Sequence[str]) -> tuple[Position, ...]:
     """Read positions `X,Y` in mm."""
-    positions = []
-    for text in texts:
-        try:
-            x, y = (float(part) for part in text.split(","))
-        except ValueError:
-            raise RequestError(f"--at {text!r}: two numbers with a comma between them, in mm.") from None
-        positions.append((x, y))
-    return tuple(positions)
+    return tuple(number_pair("--at", text, ", in mm") for text in texts)
 
 
 @dataclass(frozen=True)
