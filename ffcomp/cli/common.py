@@ -44,7 +44,9 @@ def exit_codes() -> Iterator[None]:
         with interrupts_restored(), missing_extras_explained():
             yield
     except KeyboardInterrupt:
-        fail(f"Interrupted; {written_already(noted)}.", 130)
+        names = replaced_since(noted)
+        written = f"{', '.join(names)} had been written before, and {'is' if len(names) == 1 else 'are'} complete"
+        fail(f"Interrupted; {written if names else 'no file was changed'}.", 130)
     except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
@@ -67,14 +69,6 @@ def require(package: str) -> None:
     """Say at once that a package of an extra is missing, not after minutes of work."""
     if find_spec(package) is None:
         fail(*explain(not_installed(package)))
-
-
-def written_already(noted: int) -> str:
-    """Say which files are complete after an interrupt, of those noted since (`gcode.atomic_write.drafts_noted`)."""
-    names = replaced_since(noted)
-    if not names:
-        return "no file was changed"
-    return f"{', '.join(names)} had been written before, and {'is' if len(names) == 1 else 'are'} complete"
 
 
 def fail(sentence: str, code: int) -> None:

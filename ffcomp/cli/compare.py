@@ -25,17 +25,12 @@ def compare(request: CompareRequest) -> Result:
     """
     from ffcomp.api.comparison import compare_request
 
-    with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:
-        return compare_request(replace(request, progress=progress.phase))
-
-
-class _ExitWithoutThreads:
-    """Exit at an interruption without waiting for searches that run in threads; nothing of theirs is on disk."""
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, SystemExit) and error.code == 130:
+    try:
+        with exit_codes(), Progress(1.0, "comparing") as progress:
+            return compare_request(replace(request, progress=progress.phase))
+    except SystemExit as end:
+        if end.code == 130:  # interrupted: do not wait for searches in threads; nothing of theirs is on disk
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(130)
+        raise

@@ -6,7 +6,7 @@ Heavy imports wait inside the functions: `--help` stays quick.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -132,7 +132,12 @@ def check_machine(request: MachineRequest) -> Result:
     from models.file import load_plant
 
     loaded = load_plant(request.machine)
-    problems = _instability(unstable_positions(loaded))
+    places = unstable_positions(loaded)
+    problems = [
+        f"At {len(places)} places of the bed, the first at X = {x:.1f}, Y = {y:.1f} mm, a vibration of the "
+        "model does not decay; give it damping, or the force map 'virtual_work'."
+        for x, y in places[:1]
+    ]
     notes = [*filter(None, [loaded.assumed]), *still_assumed(loaded.provenance, loaded.flavor)]
     if not loaded.vibration.position_dependent:  # modes of straight axes: no forces, so no energy to account for
         return CheckedMachine(loaded, problems, notes)
@@ -238,16 +243,6 @@ def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
     ]
 
 
-def _instability(places: FloatArray) -> list[str]:
-    if not len(places):
-        return []
-    x, y = places[0]
-    return [
-        f"At {len(places)} places of the bed, the first at X = {x:.1f}, Y = {y:.1f} mm, a vibration of the "
-        "model does not decay; give it damping, or the force map 'virtual_work'."
-    ]
-
-
 @dataclass(frozen=True)
 class ModesAt:
     """The modes at one of the places that show how they change over the bed."""
@@ -350,21 +345,18 @@ class ImportedMachine(Result):
     @property
     def warnings(self) -> list[str]:
         """Missing values, settings that a machine file cannot contain, and a shaper that contradicts the modes."""
-        return list(self._warnings())
-
-    def _warnings(self) -> Iterator[str]:
         from ffcomp.importers.builder import by_remedy
 
-        made = self.made
-        yield from (f"Still missing: {', '.join(keys)}: {what}" for what, keys in by_remedy(made.missing).items())
-        yield from made.config.notes
+        config, missing = self.made.config, by_remedy(self.made.missing).items()
+        warnings = [*(f"Still missing: {', '.join(keys)}: {what}" for what, keys in missing), *config.notes]
         if self.model_hz is not None:
-            shaper = " and ".join(f"{frequency:g}" for frequency in made.config.shaper_hz)
-            yield (
+            shaper = " and ".join(f"{frequency:g}" for frequency in config.shaper_hz)
+            warnings.append(
                 f"The input shaper is set to {shaper} Hz; the machine file's loudest vibration is at "
                 f"{self.model_hz:.1f} Hz in the middle of the bed. If they are far apart, the assumed numbers do not "
                 "fit: measure, or try --like."
             )
+        return warnings
 
     @property
     def next_steps(self) -> list[str]:
