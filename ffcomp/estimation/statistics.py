@@ -37,18 +37,12 @@ class PlannedSlice:
     last: int
 
     @property
-    def lines(self) -> range:
-        """The lines that are counted."""
+    def events(self) -> Iterator[Event]:
+        """The events that are counted."""
         moves = self.program.moves
         begin = int(moves.line[self.first]) if self.first else 0
         end = int(moves.line[self.last]) if self.last < len(moves) else len(self.program.lines)
-        return range(begin, end)
-
-    @property
-    def events(self) -> Iterator[Event]:
-        """The events that are counted."""
-        counted = self.lines
-        return (event for event in self.program.events if event.line in counted)
+        return (event for event in self.program.events if begin <= event.line < end)
 
 
 def planned_slices(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[PlannedSlice]:
@@ -250,12 +244,12 @@ class Statistics:
         self.moves += len(np.unique(moves.line[counted]))
         names = [self._feature, *(name for _, name in features)]
         for k, which in grouped(np.searchsorted([at for at, _ in features], line, side="right")):
-            self.features[names[k]] = self.features.get(names[k], Spent()) + _spent(rows[which])
+            self.features[names[k]] = self.features.get(names[k], Spent()) + Spent(*rows[which].sum(axis=0).tolist())
         for k, which in grouped(self._layer + np.searchsorted(layers, line, side="right")):
             first = part.program.first_line + 1 + int(line[which].min())
             extruded = tops[which][np.isfinite(tops[which])]
             z_mm = float(extruded.max()) if extruded.size else None
-            layer = Layer(None if k == BEFORE else k, first, z_mm, _spent(rows[which]))
+            layer = Layer(None if k == BEFORE else k, first, z_mm, Spent(*rows[which].sum(axis=0).tolist()))
             self.layers[k] = self.layers[k].with_more(layer) if k in self.layers else layer
         self._layer += len(layers)
         self._feature = names[-1]
@@ -307,11 +301,6 @@ def grouped(keys: IntArray) -> Iterator[tuple[int, IntArray]]:
     """Yield each of the keys (n,) once, in ascending order, with its indices."""
     for key in np.unique(keys).tolist():
         yield key, np.flatnonzero(keys == key)
-
-
-def _spent(rows: FloatArray) -> Spent:
-    """Add up rows, (n, 6)."""
-    return Spent(*rows.sum(axis=0).tolist())
 
 
 def _kinds(travels: NDArray[np.bool_], fed: FloatArray) -> IntArray:
