@@ -121,7 +121,6 @@ def _crossing(answers: Sequence[Response], axes: Sequence[AxisFit]) -> list[str]
     return sentences
 
 
-OTHER = {"x": "y", "y": "x"}
 WEAKEST = 0.03  # of its largest value: where an axis answers less to its command, its response divides by noise
 
 
@@ -195,7 +194,7 @@ def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Excha
 def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: Response) -> _Crossed | None:
     to, of = crossed.axis, crossed.input[-1]
     direct = next((a for a in answers if a.direct and a.axis == of and a.source == crossed.source), None)
-    if of != OTHER[to] or direct is None or not np.array_equal(direct.frequency_hz, crossed.frequency_hz):
+    if {to, of} != {"x", "y"} or direct is None or not np.array_equal(direct.frequency_hz, crossed.frequency_hz):
         return None
     moved, shown = _modes(fitted[of]), _modes(fitted[to])
     f_moved, f_shown = closed_form(moved, direct.frequency_hz), closed_form(shown, direct.frequency_hz)

@@ -195,7 +195,13 @@ class _Task:
     def smooth(self, axes: Sequence[AxisFit]) -> tuple[tuple[AxisFit, ...], list[str]]:
         """Return the axes whose modes explain enough to be written, and sentences on the others."""
         kept = tuple(axis for axis in axes if self.request.rough or max(axis.errors) <= ROUGH)
-        return kept, [_too_rough(axis) for axis in axes if axis not in kept]
+        return kept, [
+            f"The modes of {axis.name} are not written: they leave {100 * max(axis.errors):.0f} % of the measurement "
+            f"unexplained, and {100 * ROUGH:.0f} % is the limit. Fasten the sensor and what rattles, and test it "
+            "again; or write it all the same with --rough."
+            for axis in axes
+            if axis not in kept
+        ]
 
     def belts_alone(self) -> BeltsFit:
         """Compare belts; they make no machine file."""
@@ -227,14 +233,6 @@ class _Task:
 def _name(start: Machine, request: IdentifyRequest) -> str:
     """Return the new machine's name."""
     return request.name or (start.name if request.output is None else request.output.stem)
-
-
-def _too_rough(axis: AxisFit) -> str:
-    return (
-        f"The modes of {axis.name} are not written: they leave {100 * max(axis.errors):.0f} % of the measurement "
-        f"unexplained, and {100 * ROUGH:.0f} % is the limit. Fasten the sensor and what rattles, and test it again; or "
-        "write it all the same with --rough."
-    )
 
 
 def _of_towers(belts: BeltComparison | None) -> list[tuple[str, Mode]]:

@@ -22,7 +22,7 @@ from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import Resonances, kind_of, read_vibrations
 from ffcomp.numerics.stages import Stage
-from ffcomp.record.axes import STRAIGHT, turning
+from ffcomp.record.axes import STRAIGHT, turn_of
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Excitation, Experiment, Plan
 from ffcomp.record.planning import TOWERS, excited_coordinate
@@ -56,7 +56,7 @@ def gather(machine: Machine, request: IdentifyRequest, progress: Callable[[str],
 
     Raises MeasurementError for the first file that cannot be used, with all that is wrong with it.
     """
-    plan, axes, band_hz = request.plan, request.axes_map.split(","), (request.lowest_hz, request.highest_hz)
+    plan, band_hz = request.plan, (request.lowest_hz, request.highest_hz)
     gathered, recordings = Gathered(), list[Recording]()
     tests: list[TestFile] = []
     captures: list[Path] = []
@@ -94,7 +94,7 @@ def gather(machine: Machine, request: IdentifyRequest, progress: Callable[[str],
     if plan is not None and captures:
         moves = plan_of(plan, machine)
         periodic = any(each.excitation is not None for each in moves.experiments)  # which does not show the axes' signs
-        turn = turning(axes) if periodic or tuple(axes) != STRAIGHT else None
+        turn = turn_of(request.axes_map) if periodic or request.axes_map != ",".join(STRAIGHT) else None
         joined = join_captures(captures, moves, machine, turn, progress)
         joined.check()
         gathered.skipped += [f"{Path(each.file).name} is left out: {each.why}" for each in joined.refused]

@@ -155,9 +155,13 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     remarks = [text for datum, nuisances in own for text in datum.remarks(nuisances)]
     fitted = tuple(datum.model(_modes(accepted), nuisances) for datum, nuisances in own)
     errors = tuple(accepted.errors.tolist())
-    doubt = accepted.doubt(f"the modes of {name}")
-    advice = (*doubt, *disagreement, *_poor(name, errors), *remarks)
-    return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
+    advice = [*accepted.doubt(f"the modes of {name}"), *disagreement]
+    if max(errors) > POOR_FIT:
+        advice.append(
+            f"The modes describe {name} poorly, to {100 * max(errors):.0f} % of the measurement: it has more modes "
+            "than a machine file holds, or it rattles. Look at it with --figure."
+        )
+    return AxisFit(name, modes, tuple(data), fitted, errors, verdict, (*advice, *remarks))
 
 
 def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
@@ -291,12 +295,3 @@ def _with_scatter(name: str, modes: tuple[AxisMode, ...], found: _Fit) -> tuple[
         listed = ", ".join(f"{f:.1f} Hz in {Path(d.source).name}" for f, d in zip(alone, data, strict=True))
         advice = [f"The files disagree about {name}: {listed}. Was it the same machine, at one position?"]
     return (replace(modes[0], frequency_hz=sure), *modes[1:]), advice
-
-
-def _poor(name: str, errors: Sequence[float]) -> list[str]:
-    if max(errors) <= POOR_FIT:
-        return []
-    return [
-        f"The modes describe {name} poorly, to {100 * max(errors):.0f} % of the measurement: it has more modes than a "
-        "machine file holds, or it rattles. Look at it with --figure."
-    ]

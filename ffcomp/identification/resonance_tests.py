@@ -47,16 +47,13 @@ def direction_name(direction: FloatArray) -> str:
 
 def no_test(test: TestFile) -> str:
     """Say in a sentence why a file holds no resonance test; '' if it may be one."""
-    if isinstance(test, Resonances):
+    if isinstance(test, Resonances) or swept_band(test) is not None:
         return ""
-    name = file_and_name(test)
-    if swept_band(test) is None:
-        seconds = float(test.time_s[-1] - test.time_s[0])
-        return (
-            f"{name}: there is no sweep in its {seconds:.3g} s, so it is no capture of a resonance test. Run the "
-            "firmware's (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data), or `ffcomp record plan --for identify`."
-        )
-    return ""
+    name, seconds = file_and_name(test), float(test.time_s[-1] - test.time_s[0])
+    return (
+        f"{name}: there is no sweep in its {seconds:.3g} s, so it is no capture of a resonance test. Run the "
+        "firmware's (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data), or `ffcomp record plan --for identify`."
+    )
 
 
 def direction_of(axis: str | None) -> FloatArray | None:

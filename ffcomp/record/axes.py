@@ -23,13 +23,13 @@ LEFT_HANDED_SHARE = 0.8  # of its score that counts
 
 
 def turn_of(axes_map: str | None) -> FloatArray | None:
-    """Return the matrix (3, 3) from sensor to printer axes that a text like "x,-z,y" means; None: to be found."""
-    return None if axes_map is None else turning(axes_map.split(","))
+    """Return the matrix (3, 3) from sensor to printer axes that a text like "x,-z,y" means; None: to be found.
 
-
-def turning(axes: Sequence[str]) -> FloatArray:
-    """Return the matrix (3, 3) from sensor to printer axes; MeasurementError unless they are x, y and z with signs."""
-    turn = np.zeros((3, 3))
+    Raises MeasurementError unless they are x, y and z with signs.
+    """
+    if axes_map is None:
+        return None
+    axes, turn = axes_map.split(","), np.zeros((3, 3))
     for row, text in enumerate(axes):
         name = text.strip().lstrip("+-")
         if name not in STRAIGHT:

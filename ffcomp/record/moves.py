@@ -238,7 +238,7 @@ def default_places(machine: Machine) -> list[Place]:
     return chosen
 
 
-def schedule(places: int, kinds: Sequence[str] = tuple(KINDS)) -> list[tuple[str, int]]:
+def schedule(places: int, kinds: Sequence[str]) -> list[tuple[str, int]]:
     """List kind and place of each experiment, at most twelve, every kind about equally often."""
     if places == 1:
         return [(kind, 0) for kind in kinds]

@@ -276,22 +276,18 @@ def load_plan(path: str | Path) -> Plan:
         read = json.loads(Path(path).read_text(encoding="utf-8"))
         if read["schema"] != SCHEMA:
             raise ValueError(f"its schema is {read['schema']!r}")
-        return _plan(read)
+        return Plan(
+            machine=read["machine"]["name"],
+            machine_sha256=read["machine"]["sha256"],
+            experiments=tuple(_experiment(entry) for entry in read["experiments"]),
+            print_file=read["print"],
+            page=Page(**read["page"]) if "page" in read else None,
+            **{key: kind(read[key]) for key, kind in _NUMBERS.items()},
+        )
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         what = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
         rule = f"This is no complete plan ({SCHEMA}): {what}. Give the .json file next to the G-code."
         raise MeasurementError(str(path), [rule]) from None
-
-
-def _plan(read: Mapping[str, Any]) -> Plan:
-    return Plan(
-        machine=read["machine"]["name"],
-        machine_sha256=read["machine"]["sha256"],
-        experiments=tuple(_experiment(entry) for entry in read["experiments"]),
-        print_file=read["print"],
-        page=Page(**read["page"]) if "page" in read else None,
-        **{key: kind(read[key]) for key, kind in _NUMBERS.items()},
-    )
 
 
 _NUMBERS: dict[str, Any] = {"repeats": int, "rest_before_s": float, "rest_after_s": float, "seed": int}
