@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.comparison import methods as ours
-from ffcomp.comparison.methods import Compensated, Segments, pick, shaped
+from ffcomp.comparison.methods import Compensated, Segments, shaped
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
@@ -152,8 +152,8 @@ class Replanned:
 
 
 def original_through_kalico(original: Original) -> Replanned:
-    travels = np.any(original.trajectory.direction[:, :3] != 0.0, axis=1)
-    own = pick(original.trajectory, travels)
+    travels = original.trajectory.travels
+    own = original.trajectory.part(travels)
     played = kalico_trajectory(original, original.data, own)
     runs = [run for run in original.planned.sections if run.travels]
     firsts = np.searchsorted(np.flatnonzero(travels), [run.first for run in runs])

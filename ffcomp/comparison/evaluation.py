@@ -99,7 +99,7 @@ class Execution:
             contour=self.contour,
             layer=part.layer[moves],
             feature=part.feature[moves],
-            extruding=part.extrudes[moves],
+            extruding=part.trajectory.extrudes[moves],
         )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.comparison.result import Family, Peaks
@@ -193,17 +192,11 @@ def segments(
     )
     program = within_reach(program, machine.kinematics)
     trajectory = plan_program(program, machine).trajectory
-    travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
+    travels = trajectory.travels
     starts = section_starts(program, file.planned)
     number = np.cumsum(travels) - 1
     starts = replace(starts, move=number[starts.move], passing=number[starts.passing])
-    return Segments(pick(trajectory, travels), starts)
-
-
-def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
-    """Return some moves of a plan."""
-    names = Trajectory.__dataclass_fields__
-    return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})
+    return Segments(trajectory.part(travels), starts)
 
 
 CALIBRATED = "-calibrated"  # after a shaper's name

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
@@ -70,19 +69,9 @@ class PrintSlice:
         """The plan as it stands."""
         return planned_motion(self.trajectory)
 
-    @property
-    def extrudes(self) -> NDArray[np.bool_]:
-        """(n,) moves that extrude along a path."""
-        return _extrudes(self.trajectory)
-
     def with_acceleration(self, acceleration: float) -> PrintSlice:
         """Plan the same moves with another acceleration, mm/s²."""
         return replace(self, planned=accelerated(self.planned, self.machine, acceleration))
-
-
-def _extrudes(trajectory: Trajectory) -> NDArray[np.bool_]:
-    direction = trajectory.direction
-    return np.asarray((direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1))
 
 
 def accelerated(planned: PlannedProgram, machine: Machine, acceleration: float) -> PlannedProgram:
@@ -131,7 +120,7 @@ class Print:
     def acceleration_mm_per_s2(self) -> float | None:
         """The acceleration of most of the outer walls' time, or of all that extrudes; None if the print names none."""
         walls = outer_walls(self.labels)
-        seconds = np.where(_extrudes(self.planned.trajectory), self.planned.trajectory.duration, 0.0)
+        seconds = np.where(self.planned.trajectory.extrudes, self.planned.trajectory.duration, 0.0)
         seconds = np.where(walls, seconds, 0.0) if seconds[walls].any() else seconds
         stated = self.program.moves.acceleration
         values = np.unique(stated[(seconds > 0.0) & np.isfinite(stated)])
@@ -210,10 +199,9 @@ class Print:
     def _left_out(self, slices: list[PrintSlice], first: int, last: int) -> str:
         names, part = self.labels.features, slice(first, last)
         durations = np.diff(np.append(self.planned.trajectory.start_t, self.print_time_s))
-        seconds = np.bincount(
-            self.labels.feature[part], (durations * _extrudes(self.planned.trajectory))[part], len(names)
-        )
-        seen = np.unique(np.concatenate([each.feature[each.extrudes] for each in slices]))
+        extruding = (durations * self.planned.trajectory.extrudes)[part]
+        seconds = np.bincount(self.labels.feature[part], extruding, len(names))
+        seen = np.unique(np.concatenate([each.feature[each.trajectory.extrudes] for each in slices]))
         left = [k for k in np.flatnonzero(seconds) if k not in seen]
         if not left:
             return ""

@@ -138,7 +138,7 @@ class _Known:
         return 0
 
     def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
-        ahead, plan = self.ahead, self.plan.part(move)
+        ahead, plan = self.ahead, self.plan.part(slice(move, None))
         head, tail = split(ahead.program, move)
         limits, layers = limits_in_effect(head, ahead.limits), ahead.layers + len(layer_starts(head))
         feature = last_feature(head) or ahead.feature
@@ -172,7 +172,7 @@ class _Known:
         left = Chunk(tail, False, limits, layers, Extent(begin), cuts=ahead.cuts + 1, feature=feature)
         written = _until(ahead.program, plan, t + self._around_s, rest)
         chunk = replace(ahead, program=written, extent=Extent(ahead.extent.begin, place))
-        return chunk, _Known(left, plan.part(first), t, self.splitting)
+        return chunk, _Known(left, plan.part(slice(first, None)), t, self.splitting)
 
     def _from_before(self, knots: int) -> tuple[int, Program, PathPosition, int]:
         """Return the first move that must be known around a cut, the program from it, the cut there, layers before."""
@@ -190,7 +190,7 @@ class _Known:
             return None
         first, tail, cut, layers = self._from_before(knots)
         last = None if rest is None else rest - first
-        around = _until(tail, plan.part(first), t + self._around_s, last)
+        around = _until(tail, plan.part(slice(first, None)), t + self._around_s, last)
         slower, records = ease(around, cut, layers)
         if not records:
             return None

@@ -151,7 +151,7 @@ def time_by_limit(
     cooled : (n,) moves that are slowed down for a layer too short
     seconds : of the whole plan, waits included
     """
-    alone, as_sliced = ~np.any(plan.direction[:, :3] != 0.0, axis=1), ceiling.kept
+    alone, as_sliced = ~plan.travels, ceiling.kept
     kept, free = as_sliced & ~alone, ~as_sliced & ~alone & ~cooled
     ramps, cruise = plan.accel_t + plan.decel_t, plan.cruise_t
     at_top = plan.cruise_v >= BINDING * ceiling.moves.speed

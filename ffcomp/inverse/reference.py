@@ -91,7 +91,7 @@ class Reference:
         """
         begin_t, end_t = (None if cut is None else cut.time_in(trajectory) for cut in extent)
         # by rounding, the next section may begin just before this one ends, and elsewhere
-        trajectory = trajectory.part(section.first, section.last)
+        trajectory = trajectory.part(slice(section.first, section.last))
         lead_s, tail_s = (settings.lead_s, settings.tail_s) if room_s is None else (room_s, room_s)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
         self._evened_mm: FloatArray | None = None  # (n + 1,) the filament ahead of the plan's at the knots: `even_flow`

@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from models.arrays import FloatArray, IntArray
+from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
 POSITION, VELOCITY, ACCELERATION = 0, 1, 2  # which derivative is sampled
@@ -55,9 +55,19 @@ class Trajectory:
             return 0.0
         return float(self.start_t[-1] + (self.accel_t[-1] + self.cruise_t[-1] + self.decel_t[-1]))
 
-    def part(self, first: int, last: int | None = None) -> Trajectory:
-        """Return the moves first … last - 1, on the same clock: nothing else has a place at any time."""
-        return Trajectory(*(getattr(self, each.name)[first:last] for each in fields(Trajectory)))
+    @property
+    def travels(self) -> BoolArray:
+        """Which moves travel, (n,): the others are the extruder's alone."""
+        return np.asarray(np.any(self.direction[:, :3] != 0.0, axis=1))
+
+    @property
+    def extrudes(self) -> BoolArray:
+        """Which moves extrude along a path, (n,)."""
+        return np.asarray(self.travels & (self.direction[:, 3] > 0.0))
+
+    def part(self, which: slice | BoolArray) -> Trajectory:
+        """Return some of the moves, on the same clock: nothing else has a place at any time."""
+        return Trajectory(*(getattr(self, each.name)[which] for each in fields(Trajectory)))
 
     def move_at(self, t: ArrayLike) -> IntArray:
         """Return the move under way at each time t, or the last one before it; the first one before it has begun."""
@@ -227,9 +237,9 @@ class Section:
     end_t: float
 
 
-def split_sections(trajectory: Trajectory, stop_before: NDArray[np.bool_]) -> list[Section]:
+def split_sections(trajectory: Trajectory, stop_before: BoolArray) -> list[Section]:
     """Return the plan's sections in order; moves that go nowhere and take no time belong to the one they stand in."""
-    travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
+    travels = trajectory.travels
     extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)
     edge = stop_before.copy()
     edge |= extrudes

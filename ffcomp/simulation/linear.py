@@ -66,7 +66,7 @@ def continuous_intervals(trajectory: Trajectory) -> list[tuple[float, float]]:
     An interval that others have begun or ended begins or ends with a move that travels.
     """
     end_t = trajectory.start_t + trajectory.duration
-    travels = np.flatnonzero(np.any(trajectory.direction[:, :3] != 0.0, axis=1))
+    travels = np.flatnonzero(trajectory.travels)
     ends = trajectory.position(np.nextafter(end_t[travels[:-1]], -np.inf))[:, :3]
     jumps = np.abs(trajectory.origin[travels[1:], :3] - ends).max(axis=1, initial=0.0) > JUMP_MM
     firsts, lasts = [0, *travels[1:][jumps]], [*travels[:-1][jumps], len(trajectory) - 1]

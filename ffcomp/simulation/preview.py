@@ -107,12 +107,11 @@ def preview(data: bytes, path: str, machine: Machine) -> Preview:
 
 
 def _kinds(program: Program, plan: Trajectory) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
-    direction = plan.direction
-    extrudes = (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
+    extrudes = plan.extrudes
     walls = extrudes & outer_walls(labels(program))
 
     def at(t: FloatArray) -> tuple[BoolArray, BoolArray]:
-        move = np.clip(np.searchsorted(plan.start_t, t, side="right") - 1, 0, len(extrudes) - 1)
+        move = plan.move_at(t)
         return extrudes[move], walls[move]
 
     return at
