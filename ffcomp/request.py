@@ -133,9 +133,7 @@ class Declared:
     @property
     def many(self) -> bool:
         """Whether it may be stated more than once."""
-        if self.option.parse is not None:
-            return self.option.repeated
-        return self.holds_several
+        return self.holds_several if self.option.parse is None else self.option.repeated
 
     @property
     def holds_several(self) -> bool:
@@ -237,8 +235,7 @@ class Request:
         for each in declared(type(self)):
             value = each.accept(getattr(self, each.field))
             object.__setattr__(self, each.field, value)
-            array = hasattr(value, "shape")  # it is compared number by number, and has no range here
-            if not array and value != each.default:
+            if not hasattr(value, "shape") and value != each.default:  # an array has no range here
                 if not _fits(value, each.type):
                     raise RequestError(f"{each.field} = {_short(value)}: it must be {_plain(each.python_type)}.")
                 if value is not None:

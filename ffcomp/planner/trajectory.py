@@ -51,9 +51,7 @@ class Trajectory:
     @property
     def end_t(self) -> float:
         """When the last move ends, s; 0 if there is none."""
-        if not len(self):
-            return 0.0
-        return float(self.start_t[-1] + (self.accel_t[-1] + self.cruise_t[-1] + self.decel_t[-1]))
+        return float(self.start_t[-1] + (self.accel_t[-1] + self.cruise_t[-1] + self.decel_t[-1])) if len(self) else 0.0
 
     @property
     def travels(self) -> BoolArray:
@@ -86,16 +84,9 @@ class Trajectory:
         return self._sampled(t, ACCELERATION)
 
     def motion_within(self, t: FloatArray, begin_t: float, end_t: float) -> tuple[FloatArray, FloatArray]:
-        """Return the nozzle and its velocity as if it rested before `begin_t` and from `end_t` on.
+        """Return the nozzle and its velocity, (k, 3) mm and mm/s, as if it rested before `begin_t` and from `end_t` on.
 
-        Parameters
-        ----------
         t : (k,) s, sorted
-        begin_t, end_t : s
-
-        Returns
-        -------
-        (k, 3) mm and (k, 3) mm/s, columns X Y Z
         """
         return _sample_within(t, begin_t, end_t, self.start_t, self._phases, self.origin, self.direction)
 
@@ -241,8 +232,7 @@ def split_sections(trajectory: Trajectory, stop_before: BoolArray) -> list[Secti
     """Return the plan's sections in order; moves that go nowhere and take no time belong to the one they stand in."""
     travels = trajectory.travels
     extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)
-    edge = stop_before.copy()
-    edge |= extrudes
+    edge = stop_before | extrudes
     edge[1:] |= extrudes[:-1]
     edge[:1] = True
     starts = np.flatnonzero(edge)
