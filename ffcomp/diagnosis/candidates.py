@@ -118,8 +118,20 @@ def _searched(effect: Effect) -> list[EffectParameter]:
     return [p for p in effect.shapes if p.default is None or p.starts]
 
 
-def _finer_of(effect: Effect) -> tuple[Parameter, ...]:
-    return tuple(_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts)
+def _finer_of(effect: Effect, scales: MotionScales | None = None) -> tuple[Parameter, ...]:
+    """Return the shapes that have a usual value; `scales` : of an axis by itself."""
+    shapes = [_placed(p, scales) for p in effect.shapes if not p.starts]
+    return tuple(_finer(effect, p, p.default) for p in shapes if p.default is not None)
+
+
+def _placed(p: EffectParameter, scales: MotionScales | None) -> EffectParameter:
+    """Return a shape with the range in which a fit looks for it, and the usual value there."""
+    if scales is None:
+        return replace(p, bounds=p.on_printers or p.bounds)
+    if p.tried is None or p.default is None:
+        return p
+    starts = _axis_starts(p, scales)
+    return replace(p, default=starts[len(starts) // 2], bounds=_within(p, starts))
 
 
 def _finer(effect: Effect, p: EffectParameter, usual: float) -> Parameter:
@@ -381,7 +393,7 @@ def _axis_candidate(
         shapes = tuple(_near(n, pitches) if p.is_pitch else n for n, p in zip(shapes, searched, strict=True))
     grid = _grid((_full(effect, p), starts[p.name]) for p in searched)
     probe = {a.name: PROBE * a.sd for a in amplitudes}
-    return Candidate(effect.name, amplitudes, probe, shapes, grid, _finer_of(effect))
+    return Candidate(effect.name, amplitudes, probe, shapes, grid, _finer_of(effect, scales))
 
 
 def _numbers_of(p: EffectParameter, signals: Sequence[str]) -> list[int]:
@@ -404,13 +416,16 @@ def _axis_starts(p: EffectParameter, scales: MotionScales) -> list[float]:
 
 def _axis_shape(effect: Effect, p: EffectParameter, starts: Sequence[float], scales: MotionScales) -> Parameter:
     """Make a shape's parameter; no pitch may be longer than half the travel, or nothing repeats."""
-    low, high = p.bounds
+    low, high = p.bounds if p.is_pitch or p.starts else _within(p, starts)
     if p.is_pitch:
         high = min(high, 1e3 * scales.travel_m / 2)
-    elif not p.starts:  # far below, nothing changes any more, and every step is short
-        low, high = max(low, min(starts) / 10), min(high, max(starts) * 10)
     begin = min(max(starts[len(starts) // 2], low), high)
     return Parameter(_full(effect, p), begin, max(abs(x) for x in starts), low, high)
+
+
+def _within(p: EffectParameter, starts: Sequence[float]) -> tuple[float, float]:
+    """Return the range of a shape: far below its starts nothing changes any more, and every step is short."""
+    return max(p.bounds[0], min(starts) / 10), min(p.bounds[1], max(starts) * 10)
 
 
 def _near(pitch: Parameter, pitches: Sequence[float]) -> Parameter:

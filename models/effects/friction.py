@@ -11,6 +11,7 @@ from models.effects.effect import (
     EACH,
     Effect,
     EffectParameter,
+    MotionScales,
     Size,
     Terms,
     Values,
@@ -32,12 +33,18 @@ PRESLIDING = shape(
 )
 
 
+def _creeping(s: MotionScales) -> list[float]:
+    return [1e3 * s.speed_m_per_s * share for share in (0.001, 0.01, 0.1)]
+
+
 def reversal_parameters(size: Size) -> tuple[EffectParameter, EffectParameter]:
     """Declare v₀ and κ of F = ℓ tanh(v/v₀ + φ) (`models/printer/kernels`), optional in a machine file."""
     creep, hold = "v₀: well below this, friction falls with speed", "κ: how quickly friction locks at rest; 0: never"
     optional = partial(shape, size=size, logarithmic=True)
     return (
-        optional("creep_mm_per_s", creep, (0.05, 1000), (0.2, 5), 0.05, default=0.5),
+        optional(
+            "creep_mm_per_s", creep, (0.05, 1e5), (0.2, 5), 0.05, default=0.5, on_printers=(0.05, 1000), tried=_creeping
+        ),
         optional("hold_per_s", f"{hold}, all loads creep", (0, 1e6), (0, 1000), 5.0, default=50.0),
     )
 
