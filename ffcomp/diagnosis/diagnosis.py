@@ -60,7 +60,7 @@ FINDINGS = {
     "effects": "effects are named",
     "nothing": "nothing is missing",
     "cannot_tell": "the noise is too loud, or its floor is wrong, to say that nothing is missing",
-    "dominant": "one effect holds most of the discrepancy, and leaves a rest that nothing known explains",
+    "dominant": "one effect holds half of the discrepancy or more, and leaves a rest that nothing known explains",
     "unproven": "one explanation holds most of the discrepancy, but failed a test",
     "unexplained": "there is a discrepancy, and nothing known explains it",
     "recording": "the recordings are at fault: an input shaper, a sensor",

@@ -97,5 +97,5 @@ def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor 
     # by chance alone, one signal has all of a trace
     share = np.where(total > least, excess.max(axis=1) / np.maximum(total, 1e-300), 0.0)
     k = int(excess[int(share.argmax())].argmax())
-    stays = excess[-1, k] > (1 - estimation.settings.dominant) * excess[0, k]
+    stays = excess[-1, k] > (1 - estimation.settings.added) * excess[0, k]
     return BadSensor(names[k], "holds the gap", float(share.max())) if share.max() > ONE_SIGNAL and stays else None

@@ -110,7 +110,7 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
     Any effect takes up some of a rest that nothing known explains; of one that formulas may leave, it must take all.
     """
     estimation, settings = search.estimation, search.settings
-    share = 1 - settings.left if _is_trace(search, smaller) else settings.dominant
+    share = 1 - settings.left if _is_trace(search, smaller) else settings.added
     if not _explains(search, larger, smaller, share):
         reason = "not significant"
     else:
@@ -170,7 +170,7 @@ def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypo
     others = [c for c in search.estimation.problem.candidates if may_join(c.name, h)]
     screened = screen(part.estimation, part.fit, others)
     if _is_trace(search, h):
-        screened = [s for s in screened if -s.evidence > search.settings.dominant * beyond_noise(part.fit.residual)]
+        screened = [s for s in screened if -s.evidence > search.settings.added * beyond_noise(part.fit.residual)]
     return _quick_fits(search, h, screened, chosen)
 
 
@@ -323,7 +323,7 @@ def _richer(search: Search, h: Hypothesis, share: float) -> list[Hypothesis]:
     now = part.fit.chi_squared + float(part.fit.z @ (part.fit.prior * part.fit.z))
     enough = now - share * max(now - len(part.fit.residual), 0.0) / 2
     best = min((cost for cost, _ in begun), default=np.inf)
-    near = [each for each in begun if each[0] < min(enough, now - settings.dominant * (now - best))]
+    near = [each for each in begun if each[0] < min(enough, now - settings.added * (now - best))]
     return [
         start
         for _, start in sorted(near, key=lambda each: (each[1].needed, each[1].effect_count, each[0]))[: settings.forms]
@@ -396,7 +396,7 @@ def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> 
     Of a law of its family with fewer numbers, too: what quick fits make of the two is no reason for more numbers. One
     that leaves too much to be named, even with a rest, stays as it is.
     """
-    if best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
+    if best.discrepancy > (1 - search.settings.added) * search.retuned.discrepancy:
         search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
         return best
     best = fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
@@ -417,7 +417,7 @@ def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis])
         fitted = [continue_fit(estimation, rest, search.progress) for rest in rests]
         known = [h for h in tried if h.names in [rest.names for rest in rests]]
         smaller = likeliest([*fitted, *known])[0]
-        needed = _explains(search, best, smaller, search.settings.dominant)
+        needed = _explains(search, best, smaller, search.settings.added)
         outcome, reason = "refused" if needed else "kept", f"of {' + '.join(best.names)}"
         estimation.trace.add("drop", smaller.names, outcome=outcome, reason=reason)
         if needed:

@@ -46,9 +46,9 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
         case "dominant" if most is not None:
             of = f"the gap in {most.signal}" if most.signal else "the gap"
             yield (
-                f"There is a gap of {size}. Most {f'of {of}' if most.signal else 'of it'} is "
+                f"There is a gap of {size}. Part {f'of {of}' if most.signal else 'of it'} is "
                 f"{_in_family(most.effect.name)}: where it was not fitted to, it explains {most_of(most.explained)} of "
-                f"{of}."
+                f"{of}, by the amplitude averaged over frequency."
             )
             rest = f"A rest of {left} of {_compared(result)} stays, which nothing known explains"
             yield f"{rest}: {'; '.join(nearest.because)}." if nearest is not None else f"{rest}."

@@ -46,9 +46,10 @@ class SearchSettings:
     false_discoveries: float = _setting(0.01, "of what is named", "by chance alone, however many are looked for", "1 %")
     left: float = _setting(0.05, "of the discrepancy", "that may be left, in all and where it was left out of the fit")
     one_law: float = _setting(2e-3, "of the discrepancy", "that effects may leave of which no other law is known")
-    dominant: float = _setting(0.6, "of the discrepancy", "what an effect must explain, as the second or with a rest")
+    added: float = _setting(0.6, "of the discrepancy", "what one effect more must explain")
+    dominant: float = _setting(0.5, "of the discrepancy", "what an effect that leaves a rest must explain")
     ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
-    signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
+    varies: float = _setting(0.1, "of what looks like an effect", "that one size of it need not explain: a third of it")
 
 
 SETTINGS = SearchSettings()

@@ -24,7 +24,7 @@ PLACES = ("0, 0", "-100, 0", "100, 0")
 NUMBERS: Mapping[str, Mapping[str, float]] = {
     "DIAGNOSE.md": {"at least # % at places": 100 * SETTINGS.dominant},
     "explanation/measuring_and_diagnosis.md": {
-        "explain # % of what is left": 100 * SETTINGS.dominant,
+        "explain # % of what is left": 100 * SETTINGS.added,
         "at most # % of the discrepancy": 100 * SETTINGS.left,
         "explains # % where it was left": 100 * SETTINGS.dominant,
         "leave # times as much": SETTINGS.ahead,
