@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -267,10 +268,7 @@ def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypoth
 
 
 def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first.
-
-    Where a law explains all, no richer one of its cause is looked for.
-    """
+    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first."""
     ranked = distinct(likeliest(children))
     far = search.settings.near**2  # of quick fits, which are rough
     chosen = [h for h in ranked[: search.settings.width] if comparable(h, ranked[0], far, search.settings)]
@@ -286,7 +284,7 @@ def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
     fitted, beam = likeliest(fitted), list[Hypothesis]()
     for h in fitted:
         near = comparable(h, fitted[0], search.settings.near, search.settings)
-        by_a_law = any(other.causes == h.causes and not leaves_excess(search.estimation, other.fit) for other in beam)
+        by_a_law = any(other.causes == h.causes for other in beam)  # whose richer forms are those of all laws
         beam.append(reshape(search, h) if near and not by_a_law else h)
     return likeliest(beam)
 
@@ -333,15 +331,20 @@ def _richer(search: Search, h: Hypothesis, share: float) -> list[Hypothesis]:
 def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, Hypothesis]:
     """Return where a fit in another form begins, and what is left of |r|² + φ|z|² there, retuned to first order.
 
-    Its new numbers are set one after the other, each where it helps most: sizes together, then each shape.
+    Its new numbers are set where they help most: sizes with the shapes that are searched, for one does nothing without
+    the other, and then each optional shape.
     """
     parameters, z, cost = start.fit.parameters, start.fit.z, np.inf
     new = [i for i, n in enumerate(parameters) if carried_over(h.fit.values, n.name) is None]
     sizes = [i for i in new if parameters[i].name in {n.name for c in start.effects for n in c.amplitudes}]
-    shapes = [([i], _points(start, parameters[i])) for i in new if i not in sizes]
-    for which, points in [(sizes, ADDED_SIZES if sizes else (0.0,)), *shapes]:
+    grids = {i: own for i in new if i not in sizes and (own := _searched(start, parameters[i]))}
+    sized = product(ADDED_SIZES if sizes else (0.0,), *grids.values())
+    together = [(point[0],) * len(sizes) + point[1:] for point in sized]
+    stages: list[tuple[list[int], list[tuple[float, ...]]]] = [([*sizes, *grids], together)]
+    stages += [([i], [(shift,) for shift in SHIFTS]) for i in new if i not in (*sizes, *grids)]
+    for which, points in stages:
         tries = np.repeat(z[None], len(points), axis=0)
-        tries[:, which] = np.array(points)[:, None]
+        tries[:, which] = np.array(points)
         tries = np.clip(tries, *limits_of(parameters))
         costs = [
             _retuned_cost(part.fit, r) for r in part.estimation.residuals([values_at(parameters, x) for x in tries])
@@ -381,10 +384,10 @@ def _mapped(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
     return Hypothesis(effects, replace(h.fit, parameters=parameters, z=z, jacobian=unknown))
 
 
-def _points(h: Hypothesis, shape: Parameter) -> Sequence[float]:
-    """Return the z of a new shape where a fit may begin: where a search for the effect does, or from the usual on."""
-    searched = {point[shape.name] for c in h.effects for point in c.grid if shape.name in point}
-    return [(x - shape.start) / shape.sd for x in sorted(searched)] or SHIFTS
+def _searched(h: Hypothesis, shape: Parameter) -> list[float]:
+    """Return the z of a new shape where a search for the effect begins; none of an optional one."""
+    points = {point[shape.name] for c in h.effects for point in c.grid if shape.name in point}
+    return [(x - shape.start) / shape.sd for x in sorted(points)]
 
 
 # ---- finish --------------------------------------------------------------------------------------
