@@ -113,34 +113,26 @@ def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes]
     return None
 
 
-def filament_is_relative(text: bytes) -> bool | None:
+def filament_is_relative(text: bytes, *, until_stated: bool = False) -> bool | None:
     """Return whether E is relative, inferred from the numbers; None if it states it or extrudes too little.
 
     Absolute numbers grow from one extruding move to the next, except for wipes; relative numbers grow half the time.
     Files without M82 and M83 rely on the printer's start macro.
+
+    until_stated : judge by the moves before the next M82 or M83, of which a few are enough
     """
-    growing, others, stated = _filament_trend(text)
-    return None if stated or growing + others < _ENOUGH_MOVES else others > _MOST_WIPES * (growing + others)
-
-
-def filament_is_relative_until_stated(text: bytes) -> bool | None:
-    """Return whether E is relative, judged by the moves before the next M82 or M83; None if too few extrude."""
-    growing, others, _ = _filament_trend(text)
-    return None if growing + others < _FEW_MOVES else others > _MOST_WIPES * (growing + others)
-
-
-def _filament_trend(text: bytes) -> tuple[int, int, bool]:
-    """Return how many moves increase E, how many do not, and whether a mode command ended the count."""
     last, growing, others = nan, 0, 0
     for mode, number, renamed in _FILAMENT.findall(text):
+        if mode and not until_stated:
+            return None
         if mode:
-            return growing, others, True
+            break
         value = nan if renamed else float(number)
-        growing, others = growing + (value > last), others + (value <= last)
+        growing, others, last = growing + (value > last), others + (value <= last), value
         if growing + others >= _ENOUGH_MOVES:
             break
-        last = value
-    return growing, others, False
+    moves = growing + others
+    return None if moves < (_FEW_MOVES if until_stated else _ENOUGH_MOVES) else others > _MOST_WIPES * moves
 
 
 def detect_slicer(lines: list[bytes]) -> str:

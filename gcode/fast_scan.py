@@ -235,21 +235,17 @@ class MoveTable:
         frame = frame_of_state[state]
         columns = np.array([_LIMITS(each) for each in limits])
         velocity, acceleration, travel, corner, cruise_ratio, filament = np.take(columns.T, limit, axis=1)
-        start, end = self._starts(), self.ends[: self.count]
+        start, end = np.empty((self.count, 4)), self.ends[: self.count]
+        start[1:] = end[:-1]
+        for number, place in self.jumps.items():
+            if number < self.count:
+                start[number] = place
         speed = np.array([a.feed_mm_per_s for a in frames])[frame]
         if not np.isnan(filament).all():
             speed = np.fmin(speed, _speed_for_filament(end - start, filament))
         travels = (end[:, 3] == start[:, 3]) & ~np.isnan(travel)
         limited = velocity, np.where(travels, travel, acceleration), corner, cruise_ratio
         return Moves(line, start, end, speed, frame, *limited)
-
-    def _starts(self) -> FloatArray:
-        start = np.empty((self.count, 4))
-        start[1:] = self.ends[: max(self.count - 1, 0)]
-        for number, place in self.jumps.items():
-            if number < self.count:
-                start[number] = place
-        return start
 
 
 @dataclass(slots=True)

@@ -81,10 +81,6 @@ def _whole(seconds: float) -> str:
 _TOTAL = "; total estimated time: "
 
 
-def _model_and_total(seconds: float) -> str:
-    return short(seconds) + _TOTAL + short(seconds)
-
-
 class _Form(NamedTuple):
     """One slicer's way to write a time: group 1 of the pattern, the time, group 3."""
 
@@ -108,7 +104,7 @@ _FORMS = (
     _form(rb"; estimated printing time" + _MODE, _DURATION, short),  # PrusaSlicer, OrcaSlicer, Slic3r
     _form(rb"; estimated first layer printing time" + _MODE, _DURATION, short, Tells.FIRST_LAYER),
     # BambuStudio, OrcaSlicer
-    _form(rb"; model printing time: ", _DURATION + _TOTAL.encode() + _DURATION, _model_and_total),
+    _form(rb"; model printing time: ", _DURATION + _TOTAL.encode() + _DURATION, lambda s: short(s) + _TOTAL + short(s)),
     _form(_TOTAL.encode(), _DURATION, short),
     _form(rb";TIME:", _DECIMAL, _whole),  # Cura
     _form(rb";TIME_ELAPSED:", _DECIMAL, "{:.6f}".format, Tells.ELAPSED),

@@ -262,7 +262,7 @@ class _Reader:
         """
         if self.g90_keeps_m83 is None:
             ahead = b"".join([*self.lines[at + 1 : at + 1 + _LINES_AHEAD], self.ahead])
-            self.g90_keeps_m83 = dialects.filament_is_relative_until_stated(ahead)
+            self.g90_keeps_m83 = dialects.filament_is_relative(ahead, until_stated=True)
             if self.g90_keeps_m83 is not None:
                 how = "do not grow, so E is relative" if self.g90_keeps_m83 else "grow: absolute"
                 rule = "Marlin 2 makes E absolute by G90, older ones keep M83"
