@@ -157,7 +157,10 @@ class ModalAxes(VibrationModel):
     def value(self, name: str) -> float:
         """Return one parameter, also by the file's own keys; KeyError if there is none of this name."""
         if (mount := MOUNT.fullmatch(name)) is not None:
-            return self._mount_hz(AXES.index(mount["axis"]), name)
+            of = AXES.index(mount["axis"])
+            if not _is_chain(self.axes[of]):
+                raise KeyError(name)
+            return self.mounts_hz[of] or _middle(self.axes[of])
         axis, i, kind = _parsed(name)
         if i >= len(self.axes[axis]):
             raise KeyError(name)
@@ -202,11 +205,6 @@ class ModalAxes(VibrationModel):
             for axis, modes in enumerate(self.axes)
             if self.mounts_hz[axis] is None and _is_chain(modes)
         }
-
-    def _mount_hz(self, axis: int, name: str) -> float:
-        if not _is_chain(self.axes[axis]):
-            raise KeyError(name)
-        return self.mounts_hz[axis] or _middle(self.axes[axis])
 
     # ---- forces
 
