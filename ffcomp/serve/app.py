@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ffcomp.serve import machines, messages
-from ffcomp.serve.commands import KINDS, checked, forms
+from ffcomp.serve.commands import KINDS, MOVES_PLAN, checked, forms
 from ffcomp.serve.guard import Guard
 from ffcomp.serve.jobs import Job
 from ffcomp.serve.runner import Runner
@@ -126,7 +126,8 @@ class Server:
         if not isinstance(ids, list) or len(ids) > MOST_FILES:
             raise Refused(400, "The files must be a list.")
         files = [self.uploads.find(str(each)) for each in ids]
-        plan = self._plan(fields.get("plan"))
+        planned = fields.get("plan")  # the job that has made it
+        plan = [self.runner.kept.output(self.runner.find(str(planned)), MOVES_PLAN)] if planned else []
         if len(files) not in KINDS[kind].inputs:
             raise Refused(400, "That needs a file." if not files else "That takes one file at a time.")
         machine = str(fields.get("machine") or "")
@@ -147,10 +148,6 @@ class Server:
         with self.creating:
             made = self.runner.add(job, place)
         return asdict(made)
-
-    def _plan(self, id_: Any) -> list[Path]:
-        """Return the plan's file that another job has made."""
-        return [self.runner.kept.output(self.runner.find(str(id_)), "moves.json")] if id_ else []
 
     def act(self, request: Request, fields: Any) -> dict[str, Any]:
         """Do one thing with a job: cancel, again, remove, keep its machine file."""

@@ -24,7 +24,7 @@ from ffcomp.request import Declared, Option, Request, declared
 from ffcomp.serve.uploads import Refused
 
 PICTURE, PANEL, REPORT, BETTER, UPDATES = "picture.svg", "panel.svg", "report.html", "better.toml", ".updates.jsonl"
-MOVES, PLAN = "moves.gcode", "moves.json"
+MOVES, MOVES_PLAN = "moves.gcode", "moves.json"
 PRINTS = (".gcode", ".gco", ".g")
 MOST_CAPTURES = 200
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of a machine
