@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.inference.problem import Observation
-from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
+from ffcomp.measurement.frf import CARRIAGES_AS_AXES, FrequencyResponse
 from ffcomp.measurement.modal import WindowedPower, single_modes
 from ffcomp.measurement.swept import SweptBand, cut_off
 from models.arrays import ComplexArray, FloatArray, IntArray
@@ -218,9 +218,9 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
     """Select the responses of axes to commands, their own or another's; describe the others in sentences."""
     kept: list[Response] = []
     left_out = []
-    axes = str.maketrans(CARRIAGES, AXES)  # the carriages of such a machine are its axes: cmd_A is cmd_x
     for each in responses:
-        response = replace(each, input=each.input.translate(axes), output=each.output.translate(axes))
+        commanded, answers = (name.translate(CARRIAGES_AS_AXES) for name in (each.input, each.output))
+        response = replace(each, input=commanded, output=answers)
         if response.setup != "assembly" or not response.input.startswith("cmd_"):
             left_out.append(
                 f"{response.source}: {response.input} to {response.output} ({response.setup}) does not describe an "

@@ -200,14 +200,11 @@ class StepwiseFit(MachineFit):
     @property
     def found(self) -> list[Fact]:
         """The parameters of each step."""
-        return [
-            fact
-            for step in self.result.steps
-            for fact in (
-                (step.title, f"χ² {step.consistency:.2f} per degree of freedom"),
-                *number_facts(step.estimates),
-            )
-        ]
+        facts = list[Fact]()
+        for step in self.result.steps:
+            agreed = (step.title, f"χ² {step.consistency:.2f} per degree of freedom")
+            facts += [agreed, *number_facts(step.estimates)]
+        return facts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

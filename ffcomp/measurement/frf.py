@@ -56,6 +56,7 @@ class FrequencyResponse:
 
 
 CARRIAGES, AXES = "ABC", "xyz"
+CARRIAGES_AS_AXES = str.maketrans(CARRIAGES, AXES)  # of straight axes: cmd_A is cmd_x
 SIGNALS = {
     end: tuple(f"{kind}_{axis}" for kind in kinds for axis in CARRIAGES + AXES)
     for end, kinds in {"input": ("cmd", "force"), "output": ("pos", "acc")}.items()

@@ -24,7 +24,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -214,16 +213,12 @@ def _read_universal(path: str) -> list[FrequencyResponse]:
     return responses
 
 
-def _pyuff(path: str) -> ModuleType:
+def _sets(path: str) -> dict[int, dict[str, Any]]:
     try:
-        return import_module("pyuff")  # optional, and without types
+        pyuff = import_module("pyuff")  # optional, and without types
     except ImportError as error:
         rule = "Universal files need the package pyuff: pip install 'ffcomp[uff]'."
         raise MeasurementError(path, [rule]) from error
-
-
-def _sets(path: str) -> dict[int, dict[str, Any]]:
-    pyuff = _pyuff(path)
     try:
         file = pyuff.UFF(path)
         read = [n for n, kind in enumerate(file.get_set_types()) if int(kind) in (58, 164)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError, missing_extras_explained
 from ffcomp.identification.predict import log_error_db, mean_absolute_percentage_accuracy, predicted
-from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
+from ffcomp.measurement.frf import CARRIAGES_AS_AXES, FrequencyResponse
 from ffcomp.numerics.serialise import keys
 from ffcomp.responses.modes import NumberedMode, carriage_modes, effector_modes, modes_at
 from ffcomp.responses.view import Pair, View
@@ -257,8 +257,7 @@ def _is_delta(machine: Machine) -> bool:
 
 def _of_axes(response: FrequencyResponse, centre_mm: tuple[float, float]) -> FrequencyResponse:
     """Rename the carriages of straight axes to the axes, A to x; every place counts as the centre."""
-    names = dict(zip(CARRIAGES, AXES, strict=True))
-    commanded, answers = (name[:-1] + names.get(name[-1], name[-1]) for name in (response.input, response.output))
+    commanded, answers = (name.translate(CARRIAGES_AS_AXES) for name in (response.input, response.output))
     return replace(response, input=commanded, output=answers, position_mm=(*centre_mm, 0.0))
 
 
