@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from itertools import chain
 from math import isnan
 from typing import NamedTuple
@@ -107,17 +108,9 @@ def _tool(modal: Modal, command: Command) -> Effect:
     return _move_away(modal, command)._replace(lasts_s=modal.filament_change_s if changes else 0.0)
 
 
-def _dwell(modal: Modal, command: Command) -> Effect:
+def _dwell(modal: Modal, command: Command, by_s: bool = True) -> Effect:
     words = command.settings()
-    return _waiting(words["S"] if "S" in words else words.get("P", 0.0) / 1000, command)
-
-
-def _dwell_of_klipper(modal: Modal, command: Command) -> Effect:
-    """Klipper ignores S."""
-    return _waiting(command.settings().get("P", 0.0) / 1000, command)
-
-
-def _waiting(seconds: float, command: Command) -> Effect:
+    seconds = words["S"] if by_s and "S" in words else words.get("P", 0.0) / 1000
     if seconds < 0:
         raise GcodeError(f"G4 waits {seconds:g} s; a wait cannot be negative.", command.line)
     return Effect(EventKind.DWELL, seconds)
@@ -491,7 +484,7 @@ OWN_EFFECTS: dict[str, dict[str, Handler | Effect]] = {
     KLIPPER: {
         **dict.fromkeys(("G92.1", "M120", "M121"), UNKNOWN),
         **dict.fromkeys(("M201", "M203", "M205", "M566"), PASS),
-        "G4": _dwell_of_klipper,
+        "G4": partial(_dwell, by_s=False),  # it ignores S
         "M204": _acceleration_of_klipper,
     },
     MARLIN: {"M220": _feed_factor_of_marlin, "M400": _finish_moves, "M566": PASS},
