@@ -19,7 +19,7 @@ from ffcomp.firmware.program import firmware_plan
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import Section, split_sections
-from ffcomp.record.gcode_writer import Recorder, comments, lines, rest
+from ffcomp.record.gcode_writer import Recorder, lines, rest
 from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share
 from ffcomp.record.plan import LIMIT_COLUMNS, SETTLE_S, Experiment, Motion, Plan, load_plan, run_name
 from gcode.container import read_bytes
@@ -105,7 +105,7 @@ def print_lines(plan: Plan, program: Program, recorder: Recorder) -> Iterator[by
         start, stop = recorder.capture(name, lasting)
         before[int(program.moves.line[first])] = ["M400", rest(SETTLE_S), *start, rest(plan.rest_before_s)]
         after[int(program.moves.line[first + len(each.motion.speed) - 1])] = [rest(plan.rest_after_s), *stop]
-    yield from comments(recorder.explained())
+    yield from (f"; {sentence}\n".encode() for sentence in recorder.explained())
     yield from lines(recorder.shaper_off())
     for number, line in enumerate(program.lines):
         yield from lines(before.get(number, ()))
