@@ -44,10 +44,9 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
             yield from _beyond(result)
             yield from _file_off(result)
         case "dominant" if most is not None:
-            of = f"the gap in {most.signal}" if most.signal else "the gap"
+            of, name = f"the gap in {most.signal}" if most.signal else "it", _in_family(most.effect.name)
             yield (
-                f"There is a gap of {size}. Part {f'of {of}' if most.signal else 'of it'} is "
-                f"{_in_family(most.effect.name)}: where it was not fitted to, it explains {most_of(most.explained)} of "
+                f"There is a gap of {size}. Where it was not fitted to, {name} explains {most_of(most.explained)} of "
                 f"{of}, by the amplitude averaged over frequency."
             )
             rest = f"A rest of {left} of {_compared(result)} stays, which nothing known explains"
