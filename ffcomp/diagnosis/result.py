@@ -108,7 +108,7 @@ class PartlyExplained:
     json_keys: ClassVar = {ALL_OF: "effect"} | keys("explained", "left", "rivals", "signal")
 
     effect: FoundEffect
-    explained: float  # of the discrepancy where it was left out of the fit
+    explained: float  # of the discrepancy, by the amplitude averaged over frequency, where it was left out of the fit
     left: ResidualBreakdown
     rivals: Sequence[tuple[tuple[str, ...], float]]  # effects of other families, and what they explain there
     signal: str = ""  # whose gap that is; "": of all signals
