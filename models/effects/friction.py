@@ -34,7 +34,7 @@ PRESLIDING = shape(
 
 
 def _creeping(s: MotionScales) -> list[float]:
-    return [1e3 * s.speed_m_per_s * share for share in (0.001, 0.01, 0.1)]
+    return [1e3 * s.speed_m_per_s * share for share in (0.001, 0.01, 0.03)]  # near that speed, friction is viscous
 
 
 def reversal_parameters(size: Size) -> tuple[EffectParameter, EffectParameter]:
@@ -43,7 +43,7 @@ def reversal_parameters(size: Size) -> tuple[EffectParameter, EffectParameter]:
     optional = partial(shape, size=size, logarithmic=True)
     return (
         optional(
-            "creep_mm_per_s", creep, (0.05, 1e5), (0.2, 5), 0.05, default=0.5, on_printers=(0.05, 1000), tried=_creeping
+            "creep_mm_per_s", creep, (0.05, 1e5), (0.2, 5), 0.05, default=0.5, on_printers=(0.05, 50), tried=_creeping
         ),
         optional("hold_per_s", f"{hold}, all loads creep", (0, 1e6), (0, 1000), 5.0, default=50.0),
     )
