@@ -282,10 +282,10 @@ def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
         if not fitted or search.may_go_on:
             fitted.append(continue_fit(search.estimation, h, search.progress))
     fitted, beam = likeliest(fitted), list[Hypothesis]()
+    near = [h for h in fitted if comparable(h, fitted[0], search.settings.near, search.settings)]
     for h in fitted:
-        near = comparable(h, fitted[0], search.settings.near, search.settings)
-        by_a_law = any(other.causes == h.causes for other in beam)  # whose richer forms are those of all laws
-        beam.append(reshape(search, h) if near and not by_a_law else h)
+        laws = [other for other in near if other.causes == h.causes]  # the smallest's richer forms are those of all
+        beam.append(reshape(search, h) if laws and h is min(laws, key=lambda law: law.effect_count) else h)
     return likeliest(beam)
 
 
@@ -298,6 +298,8 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
         share = 1 - search.settings.left if _inexact(search, h) else search.settings.reshaped_share
         best = h
         for start in _richer(search, h, share):
+            if not leaves_excess(search.estimation, best.fit):
+                break  # the smaller form explains all
             fitted = continue_fit(search.estimation, start, search.progress, ", in another form", h.machine_jacobian)
             if significant(fitted.fit, best.fit, search.settings, share):
                 best = fitted
