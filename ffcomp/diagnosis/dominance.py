@@ -163,7 +163,7 @@ class _Asked:
         alike = sum(_explained_by(h, rows, residual[rows]) for rows in inside)
         total = float(np.sum(residual[scope] ** 2))
         looks = left * alike / max(total, 1e-300)
-        return looks / max(whole - left + looks, 1e-300)
+        return looks / max(max(whole - left, 0.0) + looks, 1e-300)
 
 
 def _cause(h: Hypothesis) -> str:
