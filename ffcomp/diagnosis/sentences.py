@@ -46,8 +46,8 @@ def _finding(result: DiagnosisResult) -> Iterator[str]:
         case "dominant" if most is not None:
             of, name = f"the gap in {most.signal}" if most.signal else "it", _in_family(most.effect.name)
             yield (
-                f"There is a gap of {size}. Where it was not fitted to, {name} explains {most_of(most.explained)} of "
-                f"{of}, by the amplitude averaged over frequency."
+                f"There is a gap of {size}. Where it was not fitted to, {most_of(most.explained)} of {of} is {name}, "
+                "by the amplitude averaged over frequency."
             )
             rest = f"A rest of {left} of {_compared(result)} stays, which nothing known explains"
             yield f"{rest}: {'; '.join(nearest.because)}." if nearest is not None else f"{rest}."

@@ -196,7 +196,7 @@ OUTCOMES: list[tuple[dict[str, Any], str, str]] = [
         "Of other effects guide_damping would explain 30 %",
         "residual is then searched by itself",
     ),
-    ({"finding": "dominant", "signal": "acc_x"}, "of the gap in acc_x, by the amplitude", "the better machine file"),
+    ({"finding": "dominant", "signal": "acc_x"}, "of the gap in acc_x is ", "the better machine file"),
     ({"finding": "nothing", "named": None}, "of the file's numbers retuned, ", "Compare the better machine file"),
     ({"finding": "cannot_tell"}, "they differ by more than noise", "Record again as said above"),
     ({"finding": "recording", "fault": AT_FAULT}, "at fault: x moved as EI.", "Record again as said above"),
