@@ -1,9 +1,9 @@
-"""Named, with a rest: the effect that holds most of a discrepancy that nothing explains whole.
+"""Named, with a rest: the effect that holds half or more of a discrepancy that nothing explains whole.
 
 Real machines hold more than one thing, so that no single effect passes all tests. One is named nevertheless if, where
 it was left out of the fit,
 
-    it explains most of the discrepancy · it leaves far less than any effect of another family · it has one size
+    it explains half of the discrepancy · it leaves far less than any effect of another family · it has one size
     everywhere: what it leaves does not look like it
 
 What is left is measured by its amplitude, averaged over blocks of 5 Hz in a motion: a rest that fills a few, as of a
@@ -52,7 +52,7 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Dominant:
-    """The effect that holds most of a discrepancy."""
+    """The effect that holds half or more of a discrepancy."""
 
     hypothesis: Hypothesis  # of one effect
     explained: float  # share of the discrepancy where it was left out of the fit
@@ -117,11 +117,11 @@ class _Asked:
             return None  # even where they were fitted, none explains half of what one must elsewhere
         # an interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess
         sound = [h for h in contenders if self._is_sound(h)]
-        if not sound:
+        # by the better of the file, retuned, and of standing still: an axis that is not held may be simulated worse
+        whole = min(self.left(r, scope) for r in (self.left_out("", self.base), self.estimation.measured))
+        if not sound or whole == 0.0:
             return None
         left = {h.names: self.left(self.left_out(h.names[0], h.fit), scope) for h in sound}
-        # by the better of the file, retuned, and of standing still: what nothing holds may be simulated worse than that
-        whole = min(self.left(r, scope) for r in (self.left_out("", self.base), self.estimation.measured))
         ranked = sorted(sound, key=lambda h: left[h.names])
         laws = [h for h in ranked if _cause(h) == _cause(ranked[0])]
         near = [h for h in laws if left[h.names] <= ahead * left[laws[0].names]]
