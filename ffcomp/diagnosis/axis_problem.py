@@ -19,6 +19,7 @@ one needs, and the place to which its motion takes the other: the friction of th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -137,6 +138,14 @@ class AxisProblem(Problem):
             signals = one.without_beginnings({s: sensed[s] for s in one.run.signals})
             compared[run] = np.stack(list(signals.values()), axis=1)
         return [compared[self.windows[i].run][self.windows[i].rows] for i in chosen]
+
+    def only(self, chosen: Sequence[int]) -> AxisProblem:
+        """Return the problem with some of its windows, see `Problem.only`."""
+        part = copy(self)
+        part.windows = [self.windows[i] for i in chosen]
+        part.observations = [self.observations[i] for i in chosen]
+        part.motions = [self.motions[i] for i in chosen]
+        return part
 
     def _sensed(self, machine: Machine, key: _Key) -> dict[str, FloatArray]:
         """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""

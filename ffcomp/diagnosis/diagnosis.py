@@ -53,6 +53,7 @@ from models.arrays import FloatArray
 BUDGET_STEPS = 2.4e8  # integration steps of a printer, after which nothing more is tried: 90 s of CPU in 2026
 LOOSENED = 5.0  # times the uncertainties, in the fit of the file's numbers that may all be wrong
 AS_LOOSE = 1.5  # times the mean square that the effects leave: such a fit explains as much
+LEAST_FOLLOWED = 2  # motions that a simulation follows, or all are compared
 STATIONARY = 0.25  # noise power: by so much may all windows exceed the quiet ones, of noise
 USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
 
@@ -73,7 +74,8 @@ class Outcome:
 
     verdict: str  # "effects", "none" or "unknown"
     finding: str  # more closely: see FINDINGS
-    estimation: EstimationProblem
+    whole: EstimationProblem  # of all recordings
+    estimation: EstimationProblem  # of those that a simulation follows
     noise: NoiseFloor
     base: Fit  # the machine's parameters alone
     final: Fit  # of the best; else the base
@@ -112,6 +114,12 @@ class Outcome:
         behind = np.array([*map(self.behind, self.tried), best.fit.ahead_of(self.base) / self.share])
         likely = np.exp(-0.5 * np.clip(behind, 0.0, 1e3))
         return float(likely[:-1] @ [cause in h.causes for h in self.tried] / likely.sum())
+
+    @property
+    def lost(self) -> list[str]:
+        """Recordings that no simulation follows, with the effects as without them: nothing is said of these."""
+        followed = {o.name for o in self.estimation.problem.observations}
+        return list(dict.fromkeys(o.name for o in self.whole.problem.observations if o.name not in followed))
 
     @property
     def invisible(self) -> list[str]:
@@ -232,27 +240,56 @@ def _diagnosed(
     filed = linearised(estimation, problem.parameters, np.zeros(len(problem.parameters)))
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, small_gain=QUICK_GAIN / 10)
     progress(f"the machine's own parameters alone: {error_left(base)}")
-    none = Outcome(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
+    none = Outcome(
+        verdict="none", finding="nothing", base=base, final=base, whole=estimation, estimation=estimation, noise=noise
+    )
     fault = fault_of_recordings(estimation, problem.simulate({}), base)
     if fault is not None:
         return replace(none, verdict="unknown", finding="recording", fault=fault)
     small = base.discrepancy < least
-    searched = None if small else _search_excerpt(estimation, base, progress)
+    if not small:
+        none = _followed(none, base.values)
+    searched = None if small else _search_excerpt(none.estimation, none.base, progress)
     if searched is None:
         progress(Stage(3, f"screening {len(problem.candidates)} effects"))
-        screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
+        screened = screen(replace(none.estimation, coarse=True), none.base, list(problem.candidates))
         hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
         if small and not hint:
             return replace(none, screened=screened)
-        selection = find_best(Search(estimation, base, screened, progress))
-        searched = _Searched(selection.best, selection, screened, estimation, base)
-    none, best = replace(none, screened=searched.screened), searched.best
+        selection = find_best(Search(none.estimation, none.base, screened, progress))
+        searched = _Searched(selection.best, selection, screened, none.estimation, none.base)
+    best, data = searched.best, none.estimation
+    none = _followed(replace(none, screened=searched.screened), best.fit.values)
+    if none.estimation is not data:
+        progress("with what was found a simulation follows more motions: searching on in these")
+        best = fit_in_whole(none.estimation, best, progress)
+        selection = find_best(Search(none.estimation, none.base, searched.screened, progress), best)
+        searched = _Searched(selection.best, selection, searched.screened, none.estimation, none.base)
+        best = searched.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
     tested = _tested(none, searched, best, progress)
     if tested.rejections and not small:
         tested = _with_a_rest(none, searched, tested, progress)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
+
+
+def _followed(none: Outcome, values: Mapping[str, float]) -> Outcome:
+    """Compare only motions that a simulation follows: it leaves less of them than one that stands still.
+
+    Beyond, as where a resonance has jumped, the motion depends on how it began, and no residual leads to its cause.
+    """
+    whole, problem = none.whole, none.whole.problem
+    left, signal = (np.bincount(whole.motions, x**2) for x in (whole.residual(values), whole.measured))
+    chosen = [i for i, motion in enumerate(problem.motions) if left[motion] < signal[motion]]
+    if len({problem.motions[i] for i in chosen}) < LEAST_FOLLOWED:
+        chosen = list(range(len(problem.motions)))
+    if [problem.observations[i].name for i in chosen] == [o.name for o in none.estimation.problem.observations]:
+        return none
+    if len(chosen) == len(problem.motions):
+        return replace(none, estimation=whole, base=none.final)
+    estimation = whole.on_part(problem.only(chosen))
+    return replace(none, estimation=estimation, base=fit_in_excerpt(estimation, none.final))
 
 
 def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Searched | None:

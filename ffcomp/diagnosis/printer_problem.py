@@ -79,6 +79,10 @@ class PrinterProblem(Problem):
         self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
         self.splines = Splines()
 
+    def only(self, chosen: Sequence[int]) -> PrinterProblem:
+        """Return the problem with some of its observations, see `Problem.only`."""
+        return self._of(chosen, [self.parts[i] for i in chosen])
+
     def excerpt(self) -> PrinterProblem | None:
         """Return the problem on the most informative part of each recording; None where that is hardly quicker."""
         chosen = informative_recordings(self.observations, self.motions)

@@ -227,6 +227,10 @@ class Problem(ABC):
         """Return a number of the machine as the file states it; some values limit others."""
         return values[name]
 
+    @abstractmethod
+    def only(self, chosen: Sequence[int]) -> Problem:
+        """Return the problem with some of its observations, by index: all that are of one motion, or none."""
+
     def excerpt(self) -> Problem | None:
         """Return the problem on a part of its observations, which is quicker; None if there is none."""
         return None

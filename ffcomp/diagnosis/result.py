@@ -162,7 +162,7 @@ class DiagnosisResult:
     @property
     def problem(self) -> Problem:
         """What was compared."""
-        return self.search.estimation.problem
+        return self.search.whole.problem
 
     @property
     def verdict(self) -> str:
@@ -268,7 +268,7 @@ class DiagnosisResult:
         """With the original machine file, and with the final fit."""
         problem, search = self.problem, self.search
         before, after = (
-            locate_residual(problem, search.estimation.whiten, search.noise, problem.simulate(values))
+            locate_residual(problem, search.whole.whiten, search.noise, problem.simulate(values))
             for values in ({}, search.final.values)
         )
         return before, after

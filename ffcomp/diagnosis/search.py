@@ -84,13 +84,16 @@ class Selection:
     tried: tuple[Hypothesis, ...]
 
 
-def find_best(search: Search) -> Selection:
-    """Search, and fit what was found with exact derivatives."""
+def find_best(search: Search, begun: Hypothesis | None = None) -> Selection:
+    """Search, from a hypothesis that was found in fewer data if there is one, and fit the best exactly."""
     search.progress(Stage(4, "fitting the most promising effects"))
     settings, none = search.settings, Hypothesis((), search.retuned)
-    quick = _quick_fits(search, none, search.screened, _chosen(search, [search.retuned]))
-    beam = tried = _level(search, quick) or [none]
-    best = beam[0]
+    if begun is None:
+        quick = _quick_fits(search, none, search.screened, _chosen(search, [search.retuned]))
+        beam = _level(search, quick) or [none]
+    else:
+        beam = [reshape(search, begun)]
+    best, tried = beam[0], beam
     while len(best.effects) < settings.most_effects and _leaves_something(search, best) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
         small = leaves_excess(search.estimation, best.fit) and _is_trace(search, best)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ffcomp.diagnosis.noise import ABOVE
@@ -25,6 +26,12 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         if after > filed
     ]
     against = [f"Does not hold for other motions: where only the others were fitted, {joined(worse)}."] if worse else []
+    lost = [Path(each).name for each in result.search.lost]
+    if lost:
+        against.append(
+            f"Nothing is said of {joined(lost)}: no simulation follows {'it' if len(lost) == 1 else 'them'}, with or "
+            "without an effect, better than one that stands still. Record softer motions."
+        )
     return [*against, *_finding(result), *_limits(result)]
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
@@ -43,7 +46,7 @@ class Linear(Problem):
 
     band_hz = (1.0, 200.0)
     parameters: tuple[Parameter, ...] = (Parameter("gain", 1.0, 0.02),)
-    motions = tuple(2 * (i // 2) for i in range(2 * len(PLACES)))  # each is recorded twice
+    motions: Sequence[int] = tuple(2 * (i // 2) for i in range(2 * len(PLACES)))  # each is recorded twice
 
     def __init__(self, sizes: Sequence[float], rest: float, names: Sequence[str], second: float = 0.0) -> None:
         rng, loud = np.random.default_rng(3), NOISE * np.ones(1 + bool(second))
@@ -70,6 +73,12 @@ class Linear(Problem):
         y = y + sum(values.get(size_of(n).name, 0.0) * s for n, s in SIGNATURES.items())
         both = np.column_stack([y, np.zeros(N)])[:, : len(self.observations[0].signals)]
         return [both] * len(range(len(self.observations)) if only is None else only)
+
+    def only(self, chosen: Sequence[int]) -> Linear:
+        part = copy(self)
+        part.observations = [self.observations[i] for i in chosen]
+        part.motions = [self.motions[i] for i in chosen]
+        return part
 
 
 def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
@@ -122,5 +131,15 @@ def test_what_explains_one_signal_is_named_in_it_where_each_is_compared_by_itsel
 def test_a_copy_is_no_repeat_that_shows_the_noise() -> None:
     problem = Linear((1.0, 1.0, 1.0, 1.0), 0.0, (RUBS,))
     assert noise_floor(problem).from_repeats
-    problem.observations = problem.observations[:1] * 2
+    problem.observations = [*problem.observations[:1]] * 2
     assert not noise_floor(problem).from_repeats
+
+
+def test_a_motion_that_no_simulation_follows_is_told_and_does_not_hide_the_effect() -> None:
+    problem = Linear((1.0,) * len(PLACES), 0.0, (RUBS, BENDS))
+    jumped = [replace(o, measured=o.measured - 4.0 * tones(5, 23)[:, None]) for o in problem.observations[-2:]]
+    problem.observations = list(problem.observations[:-2]) + jumped
+    found = diagnose(problem)
+    assert found.named is not None
+    assert found.named.names == (RUBS,)
+    assert found.lost == [o.name for o in jumped]
