@@ -199,7 +199,11 @@ class _Start:
     """An effect in one of its forms, with the starting values of a fit."""
 
     effect: Candidate
-    z: FloatArray  # (k,) of its parameters
+    z: FloatArray  # (p + k,) of the parameters of a hypothesis, and of its own
+
+    def values(self, h: Hypothesis) -> dict[str, float]:
+        """Return the values of all parameters, by name."""
+        return values_at((*h.fit.parameters, *self.effect.parameters), self.z)
 
 
 def _starts(search: Search, part: Subset, h: Hypothesis, screened: Sequence[Screened]) -> list[_Start]:
@@ -208,22 +212,30 @@ def _starts(search: Search, part: Subset, h: Hypothesis, screened: Sequence[Scre
     An effect is not linear in its size, so that the score test may miss it, and the size that helps most before
     anything is retuned is not the one to begin with. So each size is simulated, and what retuning explains of the
     residual is projected out. That says where to begin, not which effect will fit: play that is too wide by a third
-    explains nothing.
+    explains nothing. The file's numbers are bent by what is missing, so that they are tried as they are, too.
     """
-    tries = [(s, form, z) for s in screened if s.visible for form in _first_forms(s.candidate) for z in _sizes(s, form)]
-    points = [{**h.fit.values, **values_at(form.parameters, z)} for _, form, z in tries]
-    costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
+    machines = [h.fit.z] if h.effects else [h.fit.z, np.zeros_like(h.fit.z)]
+    tries = [
+        _Start(form, np.concatenate([machine, z]))
+        for s in screened
+        if s.visible
+        for form in _first_forms(s.candidate)
+        for z in _sizes(s, form)
+        for machine in machines
+    ]
+    residuals = part.estimation.residuals([start.values(h) for start in tries])
+    costs = [_retuned_cost(part.fit, r, t.z[: len(h.fit.z)]) for t, r in zip(tries, residuals, strict=True)]
     best: dict[str, _Start] = {}
-    for _, (s, form, z) in sorted(zip(costs, tries, strict=True), key=lambda each: each[0]):
-        best.setdefault(s.candidate.name, _Start(form, z))
+    for _, start in sorted(zip(costs, tries, strict=True), key=lambda each: each[0]):
+        best.setdefault(start.effect.name, start)
     return list(best.values())
 
 
-def _retuned_cost(fitted: Fit, r: FloatArray) -> float:
-    """Return what is left of |r|² + φ|z|² once the parameters of a fit follow, to first order."""
-    prior = fitted.prior * fitted.z
+def _retuned_cost(fitted: Fit, r: FloatArray, z: FloatArray) -> float:
+    """Return what is left of |r|² + φ|z|² once the parameters z (p,) of a fit follow, to first order."""
+    prior = fitted.prior * z
     slope = fitted.jacobian.T @ r - prior
-    return float(r @ r + fitted.z @ prior - slope @ solved(fitted.information, slope))
+    return float(r @ r + z @ prior - slope @ solved(fitted.information, slope))
 
 
 def _first_forms(c: Candidate) -> list[Candidate]:
@@ -258,7 +270,7 @@ def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypoth
     log_try(effects, search.progress)
     machine = held(h.machine_parameters, effects)
     parameters = (*machine, *h.effect_parameters, *start.effect.parameters)
-    z = clipped(parameters, np.concatenate([h.fit.z, start.z]))
+    z = clipped(parameters, start.z)
     residual, every = part.estimation.residual(values_at(parameters, z)), range(len(parameters))
     new = every[len(h.fit.parameters) :]
     columns = np.hstack([part.fit.jacobian, derivatives(part.estimation, parameters, z, residual, new)])
@@ -352,7 +364,8 @@ def _best_start(part: Subset, start: Hypothesis, h: Hypothesis) -> tuple[float, 
         tries[:, which] = np.array(points)
         tries = np.clip(tries, *limits_of(parameters))
         costs = [
-            _retuned_cost(part.fit, r) for r in part.estimation.residuals([values_at(parameters, x) for x in tries])
+            _retuned_cost(part.fit, r, part.fit.z)
+            for r in part.estimation.residuals([values_at(parameters, x) for x in tries])
         ]
         if min(costs) < cost:
             z, cost = tries[int(np.argmin(costs))], min(costs)
