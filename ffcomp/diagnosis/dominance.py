@@ -123,7 +123,10 @@ class _Asked:
             return None
         left = {h.names: self.left(self.left_out(h.names[0], h.fit), scope) for h in sound}
         ranked = sorted(sound, key=lambda h: left[h.names])
-        laws = [h for h in ranked if _cause(h) == _cause(ranked[0])]
+        # of causes that leave as much the one of fewest numbers, which a richer one contains
+        alike = [h for h in ranked if left[h.names] * (1 - settings.reshaped_share) <= left[ranked[0].names]]
+        cause = _cause(min(alike, key=lambda h: h.effect_count))
+        laws = [h for h in ranked if _cause(h) == cause]
         near = [h for h in laws if left[h.names] <= ahead * left[laws[0].names]]
         first = min(near, key=lambda h: h.effect_count)
         others = [h for h in ranked if _cause(h) != _cause(first)]
@@ -136,13 +139,18 @@ class _Asked:
             )
         if (
             explained[first.names] < settings.dominant
-            or varies[ranked[0].names] > settings.varies  # of the law that leaves least: others' shapes are left
-            or any(left[other.names] < ahead * left[first.names] for other in others)
+            or varies[laws[0].names] > settings.varies  # of the law that leaves least: others' shapes are left
+            or any(left[other.names] < self._ahead(other, first) * left[first.names] for other in others)
         ):
             return None
         return Dominant(
             first, explained[first.names], tuple(Rival(o.names, explained[o.names]) for o in others), signal
         )
+
+    def _ahead(self, other: Hypothesis, first: Hypothesis) -> float:
+        """Return how many times as much another family must leave: less than as much if it has more numbers."""
+        settings = self.estimation.settings
+        return 1 - settings.reshaped_share if other.effect_count > first.effect_count else settings.ahead
 
     def _is_sound(self, h: Hypothesis) -> bool:
         """Tell whether the numbers are determined without which there is no such effect."""

@@ -421,13 +421,21 @@ def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> 
         search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
         return best
     best = fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
-    laws = [h for h in likeliest(tried) if h.causes == best.causes and h.needed < best.needed]
-    for law in (h for h in laws[:1] if comparable(h, best, 2.0, search.settings)):
-        simpler = fit_exactly(search.estimation, law, search.progress)
-        gains = significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share)
-        if _inexact(search, simpler) or not gains:
-            best = simpler
+    for law in (False, True):
+        fewer = [h for h in likeliest(tried) if _is_simpler(h, best) and (h.causes == best.causes) == law]
+        for h in (h for h in fewer[:1] if comparable(h, best, 2.0, search.settings)):
+            simpler = fit_exactly(search.estimation, h, search.progress)
+            gains = significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share)
+            if (law and _inexact(search, simpler)) or not gains:
+                best = simpler
     return best
+
+
+def _is_simpler(h: Hypothesis, best: Hypothesis) -> bool:
+    """Tell whether a hypothesis of as many effects has fewer numbers; of a law only those count that make it one."""
+    if h.causes == best.causes:
+        return h.needed < best.needed
+    return len(h.effects) == len(best.effects) and h.effect_count < best.effect_count
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
