@@ -89,6 +89,8 @@ def _open(n: Parameter, interval: Estimate) -> bool:
 
 def _at_end(n: Parameter, interval: Estimate) -> bool:
     declared = declared_parameter(n)
+    # one without which there is no such effect must be known to end before its range does
+    low, high = (interval.low, interval.high) if declared.is_needed else (interval.value, interval.value)
     to_zero = n.low == 0.0 or (declared.logarithmic and declared.bounds[0] == 0.0)  # a value of its own: "never"
-    at_low = not to_zero and np.isfinite(n.low) and interval.value <= n.low + AT_BOUND * abs(n.low)
-    return at_low or (np.isfinite(n.high) and interval.value >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)))
+    at_low = not to_zero and np.isfinite(n.low) and low <= n.low + AT_BOUND * abs(n.low)
+    return at_low or (np.isfinite(n.high) and high >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)))
