@@ -57,23 +57,13 @@ LEAST_FOLLOWED = 2  # motions that a simulation follows, or all are compared
 STATIONARY = 0.25  # noise power: by so much may all windows exceed the quiet ones, of noise
 USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
 
-FINDINGS = {
-    "effects": "effects are named",
-    "nothing": "nothing is missing",
-    "cannot_tell": "the noise is too loud, or its floor is wrong, to say that nothing is missing",
-    "dominant": "one effect holds half of the discrepancy or more, and leaves a rest that nothing known explains",
-    "unproven": "one explanation holds most of the discrepancy, but failed a test",
-    "unexplained": "there is a discrepancy, and nothing known explains it",
-    "recording": "the recordings are at fault: an input shaper, a sensor",
-}
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
     """The verdict, and everything it rests on."""
 
     verdict: str  # "effects", "none" or "unknown"
-    finding: str  # more closely: see FINDINGS
+    finding: str  # more closely: docs/reference/json.md has what each means
     whole: EstimationProblem  # of all recordings
     estimation: EstimationProblem  # of those that a simulation follows
     noise: NoiseFloor
@@ -209,17 +199,6 @@ def _spread(estimation: EstimationProblem) -> float:
 # ---- the search ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Searched:
-    """The outcome of a search."""
-
-    best: Hypothesis  # fitted to all data
-    selection: Selection  # the best on the data on which all were tried, and the others
-    screened: Sequence[Screened]
-    estimation: EstimationProblem  # the data, on which the others were tried
-    base: Fit  # of the machine's parameters alone, there
-
-
 def _diagnosed(
     problem: Problem,
     noise: NoiseFloor,
@@ -249,27 +228,28 @@ def _diagnosed(
     small = base.discrepancy < least
     if not small:
         none = _followed(none, base.values)
-    searched = None if small else _search_excerpt(none.estimation, none.base, progress)
-    if searched is None:
-        progress(Stage(3, f"screening {len(problem.candidates)} effects"))
-        screened = screen(replace(none.estimation, coarse=True), none.base, list(problem.candidates))
-        hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
-        if small and not hint:
-            return replace(none, screened=screened)
-        selection = find_best(Search(none.estimation, none.base, screened, progress))
-        searched = _Searched(selection.best, selection, screened, none.estimation, none.base)
-    best, data = searched.best, none.estimation
-    none = _followed(replace(none, screened=searched.screened), best.fit.values)
-    if none.estimation is not data:
-        progress("with what was found a simulation follows more motions: searching on in these")
-        best = fit_in_whole(none.estimation, best, progress)
-        selection = find_best(Search(none.estimation, none.base, searched.screened, progress), best)
-        searched = _Searched(selection.best, selection, searched.screened, none.estimation, none.base)
-        best = searched.best
+    data, retuned, count = none.estimation, none.base, f"{len(problem.candidates)} effects"
+    if (part := excerpt_of(data, retuned.discrepancy)) is not None:
+        data, retuned = part, fit_in_excerpt(part, retuned)
+        count += f" in {100 * part.share:.0f} % of the data: the discrepancy is large"
+    progress(Stage(3, f"screening {count}"))
+    screened = screen(replace(data, coarse=True), retuned, list(problem.candidates))
+    none = replace(none, screened=screened)
+    hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
+    if small and not hint:
+        return none
+    found = find_best(Search(data, retuned, screened, progress))
+    best = _fitted_to_all(none, found.search, found.best)
+    more = _followed(none, best.fit.values)
+    if more is not none:
+        progress("with what was found a simulation follows other motions: searching on in these")
+        begun = fit_in_whole(more.estimation, best, progress)
+        none, found = more, find_best(Search(more.estimation, more.base, screened, progress), begun)
+        best = found.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
-    tested = _tested(none, searched, best, progress)
+    tested = _tested(none, found, best)
     if tested.rejections and not small:
-        tested = _with_a_rest(none, searched, tested, progress)
+        tested = _with_a_rest(none, found, tested)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
 
@@ -292,44 +272,33 @@ def _followed(none: Outcome, values: Mapping[str, float]) -> Outcome:
     return replace(none, estimation=estimation, base=fit_in_excerpt(estimation, none.final))
 
 
-def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Searched | None:
-    """Search in an excerpt of the recordings and fit the best to all; None if all is needed for the search."""
-    part = excerpt_of(estimation, base.discrepancy)
-    if part is None:
-        return None
-    count, share = len(part.problem.candidates), f"{100 * part.share:.0f} % of the data"
-    progress(Stage(3, f"screening {count} effects in {share}: the discrepancy is large"))
-    retuned = fit_in_excerpt(part, base)
-    screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
-    selection = find_best(Search(part, retuned, screened, progress))
-    best = fit_in_whole(estimation, selection.best, progress)
-    return _Searched(best, selection, screened, part, retuned)
+def _fitted_to_all(none: Outcome, search: Search, h: Hypothesis) -> Hypothesis:
+    """Fit a hypothesis to all that is compared, where the search had an excerpt of it."""
+    return h if search.estimation is none.estimation else fit_in_whole(none.estimation, h, search.progress)
 
 
 # ---- the verdict ---------------------------------------------------------------------------------
 
 
-def _with_a_rest(none: Outcome, searched: _Searched, tested: Outcome, progress: Progress) -> Outcome:
+def _with_a_rest(none: Outcome, found: Selection, tested: Outcome) -> Outcome:
     """Name the effect that holds most of the discrepancy, if one does; else leave the verdict as it is."""
-    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, progress)
+    search = found.search
+    dominant = dominant_effect(search.estimation, search.retuned, tested.tried, search.progress)
     if dominant is None:
         return tested
-    best = dominant.hypothesis
-    if searched.estimation is not none.estimation:
-        best = fit_in_whole(none.estimation, best, progress)
-    alone = _tested(none, searched, best, progress)
+    alone = _tested(none, found, _fitted_to_all(none, search, dominant.hypothesis))
     rejections = alone.rejections or tested.rejections
     return replace(alone, verdict="unknown", named=None, dominant=dominant, rejections=rejections)
 
 
-def _tested(none: Outcome, searched: _Searched, best: Hypothesis, progress: Progress) -> Outcome:
+def _tested(none: Outcome, found: Selection, best: Hypothesis) -> Outcome:
     """Put the best hypothesis to the acceptance tests."""
-    estimation, tried = none.estimation, searched.selection.tried
-    intervals = _proven_intervals(none, best, progress)
+    estimation, tried, share = none.estimation, found.tried, found.search.estimation.share
+    intervals = _proven_intervals(none, best, found.search.progress)
     held_out = hold_out(estimation, none.base, best.fit)
     failed = tuple(rejections(estimation, best, held_out, intervals))
     estimation.trace.add("accept", best.names, outcome="refused" if failed else "kept", reason="; ".join(failed))
-    there = searched.selection.best
+    there = found.best
     if best.names != there.names:  # a smaller rival, or fewer effects
         there = next((h for h in likeliest(tried) if h.names == best.names), there)
     ranked = likeliest([there, *(h for h in tried if h.names != best.names)])
@@ -340,9 +309,9 @@ def _tested(none: Outcome, searched: _Searched, best: Hypothesis, progress: Prog
         best=best,
         final=best.fit,
         searched=there,
-        share=searched.estimation.share,
+        share=share,
         tried=ranked,
-        competing=competing_with(there, ranked, estimation.settings, searched.estimation.share, none.base.discrepancy),
+        competing=competing_with(there, ranked, estimation.settings, share, none.base.discrepancy),
         held_out=held_out,
         rejections=failed,
         intervals=intervals,

@@ -136,6 +136,6 @@ def fit_in_whole(estimation: EstimationProblem, h: Hypothesis, progress: Progres
     fitted = {n.name: (n, float(z)) for n, z in zip(h.machine_parameters, h.fit.z, strict=False)}
     machine = [fitted.get(n.name, (n, 0.0)) for n in estimation.problem.parameters]
     parameters = (*(n for n, _ in machine), *h.effect_parameters)
-    z = np.array([*(x for _, x in machine), *h.effect_z])
+    z = np.array([*(x for _, x in machine), *h.fit.z[h.machine_count :]])
     whole = fit(estimation, parameters, z, iterations=5, renew_all=False, exact=True)
     return log_fit(estimation, Hypothesis(h.effects, whole, exact=True), progress, note)

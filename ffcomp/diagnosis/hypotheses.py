@@ -12,7 +12,6 @@ from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.diagnosis.words import times_noise
 from ffcomp.numerics.stages import Now, Progress
-from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
 FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
@@ -73,19 +72,9 @@ class Hypothesis:
         return self.fit.parameters[: self.machine_count]
 
     @property
-    def machine_jacobian(self) -> FloatArray:
-        """Derivatives by the machine's parameters, (rows, machine_count)."""
-        return self.fit.jacobian[:, : self.machine_count]
-
-    @property
     def effect_parameters(self) -> tuple[Parameter, ...]:
         """The effects' parameters."""
         return self.fit.parameters[self.machine_count :]
-
-    @property
-    def effect_z(self) -> FloatArray:
-        """Values of the effects' parameters as z, (effect_count,)."""
-        return self.fit.z[self.machine_count :]
 
     def without(self, dropped: Candidate, file: Sequence[Parameter]) -> Hypothesis:
         """Leave one effect out, everything else as it stands; the numbers of the file that it replaced do what it did.

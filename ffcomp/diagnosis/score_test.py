@@ -60,21 +60,12 @@ def subset_of(estimation: EstimationProblem, fitted: Fit, chosen: Sequence[int] 
 
 def loudest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
     """Return as few motions as hold most of a residual, two or more, those that hold most of it first."""
-    squares = squares_by_motion(estimation, residual)
-    ranked = sorted(squares, key=lambda motion: -squares[motion])
-    enough = SUBSET_SHARE * sum(squares.values())
+    squares = np.bincount(estimation.motions, residual**2)
+    ranked = sorted(set(estimation.problem.motions), key=lambda motion: -squares[motion])
     for n in range(2, len(ranked)):
-        if sum(squares[motion] for motion in ranked[:n]) >= enough:
+        if squares[ranked[:n]].sum() >= SUBSET_SHARE * squares.sum():
             return ranked[:n]
     return ranked
-
-
-def squares_by_motion(estimation: EstimationProblem, residual: FloatArray) -> dict[int, float]:
-    """Return each motion's square of a residual."""
-    squares: dict[int, float] = {}
-    for motion, rows in zip(estimation.problem.motions, estimation.whiten.rows, strict=True):
-        squares[motion] = squares.get(motion, 0.0) + float(residual[rows] @ residual[rows])
-    return squares
 
 
 # ---- the test ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ in the beam, those with fewer on the level before. Every comparison is by the ev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -80,6 +80,7 @@ class Search:
 class Selection:
     """The best hypothesis, and all that were tried."""
 
+    search: Search
     best: Hypothesis
     tried: tuple[Hypothesis, ...]
 
@@ -105,7 +106,7 @@ def find_best(search: Search, begun: Hypothesis | None = None) -> Selection:
             break
         best = beam[0]
     search.progress(Stage(6, "fitting what was found with exact derivatives"))
-    return Selection(_finished(search, best, tried), tuple(tried))
+    return Selection(search, _finished(search, best, tried), tuple(tried))
 
 
 def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
@@ -249,19 +250,12 @@ def _sizes(s: Screened, form: Candidate) -> list[FloatArray]:
     shapes = np.array([(s.shape.get(n.name, n.start) - n.start) / n.sd for n in form.shapes])
     if form.switch:
         return [np.ones(1)]
-    sizes = [np.full(len(form.amplitudes), size) for size in SIZES]
+    count = len(form.amplitudes)
+    sizes = [np.full(count, size) for size in SIZES]
     if form is s.candidate:
         sizes += [scale * np.clip(s.estimate, -2.0, 2.0) for scale in ESTIMATES]
     tries = [clipped(form.parameters, np.concatenate([a, shapes])) for a in sizes]
-    return _distinct(z for z in tries if np.any(z[: len(form.amplitudes)]))
-
-
-def _distinct(tries: Iterable[FloatArray]) -> list[FloatArray]:
-    kept: list[FloatArray] = []
-    for z in tries:
-        if not any(np.array_equal(z, before) for before in kept):
-            kept.append(z)
-    return kept
+    return [z for i, z in enumerate(tries) if np.any(z[:count]) and not any(np.array_equal(z, x) for x in tries[:i])]
 
 
 def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypothesis:
@@ -315,7 +309,8 @@ def reshape(search: Search, h: Hypothesis) -> Hypothesis:
         for start in _richer(search, h, share):
             if not leaves_excess(search.estimation, best.fit):
                 break  # the smaller form explains all
-            fitted = continue_fit(search.estimation, start, search.progress, ", in another form", h.machine_jacobian)
+            known = h.fit.jacobian[:, : h.machine_count]
+            fitted = continue_fit(search.estimation, start, search.progress, ", in another form", known)
             if significant(fitted.fit, best.fit, search.settings, share):
                 best = fitted
         if best is h:

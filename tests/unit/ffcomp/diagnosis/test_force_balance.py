@@ -183,7 +183,7 @@ def swung(hidden: dict[str, dict[str, float]], softer: float, seed: int = 3) -> 
 
 def test_a_coupling_is_found_beside_a_friction_that_no_formula_has() -> None:
     """Simulated from the force, the error of the friction would hide that of the coupling; the friction is the rest."""
-    rough = {"coulomb_friction": {"force_n": 0.03}, "cogging_force": {"sine_n": 0.005, "pitch_mm": 300.0}}
+    rough = {"coulomb_friction": {"force_n": 0.05}, "cogging_force": {"sine_n": 0.005, "pitch_mm": 300.0}}
     found = diagnose(swung(rough, softer=0.65))
     assert found.dominant is not None and found.dominant.hypothesis.names == ("belt_stiffness",)
     assert found.dominant.signal == "pos_q"
