@@ -1,7 +1,7 @@
 """The diagnosis, stage by stage: problem, residual, candidates, fits, selection, acceptance.
 
-A discrepancy is what neither noise nor retuning within reach of the stated uncertainties explains. An effect is named
-only if its hypothesis passes every acceptance test:
+A discrepancy is what neither noise nor retuning within reach of the stated uncertainties explains. Only motions count
+that a simulation follows. An effect is named only if its hypothesis passes every acceptance test:
 
     there is a discrepancy · the effect is significant · little of the discrepancy is left · little is left at every
     position that was left out of the fit · its interval excludes no effect, and the file's numbers are not far off
