@@ -26,11 +26,10 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         if after > filed
     ]
     against = [f"Does not hold for other motions: where only the others were fitted, {joined(worse)}."] if worse else []
-    lost = [Path(each).name for each in result.search.lost]
-    if lost:
+    if lost := [Path(each).name for each in result.search.lost]:
         against.append(
-            f"Nothing is said of {joined(lost)}: no simulation follows {'it' if len(lost) == 1 else 'them'}, with or "
-            "without an effect, better than one that stands still. Record softer motions."
+            f"Nothing is said of {joined(lost)}: there every simulation is further off than standing still. "
+            "Record softer motions, and others."
         )
     return [*against, *_finding(result), *_limits(result)]
 
