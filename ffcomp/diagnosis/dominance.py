@@ -123,9 +123,9 @@ class _Asked:
             return None
         left = {h.names: self.left(self.left_out(h.names[0], h.fit), scope) for h in sound}
         ranked = sorted(sound, key=lambda h: left[h.names])
-        # of causes that leave as much the one of fewest numbers, which a richer one contains
+        # of causes that leave as much the simplest, which a richer one contains
         alike = [h for h in ranked if left[h.names] * (1 - settings.reshaped_share) <= left[ranked[0].names]]
-        cause = _cause(min(alike, key=lambda h: h.effect_count))
+        cause = _cause(min(alike, key=lambda h: h.kinds))
         laws = [h for h in ranked if _cause(h) == cause]
         near = [h for h in laws if left[h.names] <= ahead * left[laws[0].names]]
         first = min(near, key=lambda h: h.effect_count)
@@ -150,7 +150,7 @@ class _Asked:
     def _ahead(self, other: Hypothesis, first: Hypothesis) -> float:
         """Return how many times as much another family must leave: less than as much if it has more numbers."""
         settings = self.estimation.settings
-        return 1 - settings.reshaped_share if other.effect_count > first.effect_count else settings.ahead
+        return 1 - settings.reshaped_share if other.kinds > first.kinds else settings.ahead
 
     def _is_sound(self, h: Hypothesis) -> bool:
         """Tell whether the numbers are determined without which there is no such effect."""

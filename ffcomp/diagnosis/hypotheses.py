@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped
-from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.problem import Candidate, Parameter, stem_of
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.diagnosis.words import times_noise
 from ffcomp.numerics.stages import Now, Progress
@@ -65,6 +65,11 @@ class Hypothesis:
     def needed(self) -> int:
         """Number of the effects' parameters without which there is no such effect; others have a usual value."""
         return sum(p.is_needed for c in self.effects for p in CATALOGUE[c.name].parameters)
+
+    @property
+    def kinds(self) -> int:
+        """Number of the effects' parameters that are fitted, those of several towers or axes counted as one."""
+        return len({stem_of(n.name) for n in self.effect_parameters})
 
     @property
     def machine_parameters(self) -> tuple[Parameter, ...]:

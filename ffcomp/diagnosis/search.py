@@ -409,28 +409,22 @@ def _searched(h: Hypothesis, shape: Parameter) -> list[float]:
 def _finished(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
     """Leave out of the best hypothesis the effects that it does not need, and fit it with exact derivatives.
 
-    Of a law of its family with fewer numbers, too: what quick fits make of the two is no reason for more numbers. One
-    that leaves too much to be named, even with a rest, stays as it is.
+    Of others as many with fewer numbers, and of laws of its family, too: what quick fits make of the two is no reason
+    for more numbers. One that leaves too much to be named, even with a rest, stays as it is.
     """
     if best.discrepancy > (1 - search.settings.added) * search.retuned.discrepancy:
         search.estimation.trace.add("finish", best.names, outcome="as it is", reason="it leaves too much")
         return best
     best = fit_exactly(search.estimation, _without_idle(search, best, tried), search.progress)
-    for law in (False, True):
-        fewer = [h for h in likeliest(tried) if _is_simpler(h, best) and (h.causes == best.causes) == law]
-        for h in (h for h in fewer[:1] if comparable(h, best, 2.0, search.settings)):
+    others = [h for h in likeliest(tried) if len(h.effects) == len(best.effects)]
+    for law in (True, False):
+        alike = [h for h in others if (h.causes == best.causes) == law and comparable(h, best, 2.0, search.settings)]
+        for h in [h for h in alike if (h.needed < best.needed if law else h.kinds < best.kinds)][:1]:
             simpler = fit_exactly(search.estimation, h, search.progress)
             gains = significant(best.fit, simpler.fit, search.settings, search.settings.reshaped_share)
             if (law and _inexact(search, simpler)) or not gains:
                 best = simpler
     return best
-
-
-def _is_simpler(h: Hypothesis, best: Hypothesis) -> bool:
-    """Tell whether a hypothesis of as many effects has fewer numbers; of a law only those count that make it one."""
-    if h.causes == best.causes:
-        return h.needed < best.needed
-    return len(h.effects) == len(best.effects) and h.effect_count < best.effect_count
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
