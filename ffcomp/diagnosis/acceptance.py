@@ -83,14 +83,18 @@ def undetermined(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[Pa
 
 
 def _open(n: Parameter, interval: Estimate) -> bool:
+    return _must_be_known(n) and interval.low <= n.low and interval.high >= n.high
+
+
+def _must_be_known(n: Parameter) -> bool:
+    """Tell whether there is no such effect without a number, and its range leaves it open."""
     wide = n.high - n.low > NARROW * max(abs(n.low), abs(n.high))  # a line's pitch is sought close to where it was seen
-    return declared_parameter(n).is_needed and wide and interval.low <= n.low and interval.high >= n.high
+    return declared_parameter(n).is_needed and wide
 
 
 def _at_end(n: Parameter, interval: Estimate) -> bool:
     declared = declared_parameter(n)
-    # one without which there is no such effect must be known to end before its range does
-    low, high = (interval.low, interval.high) if declared.is_needed else (interval.value, interval.value)
+    low, high = (interval.low, interval.high) if _must_be_known(n) else (interval.value, interval.value)
     to_zero = n.low == 0.0 or (declared.logarithmic and declared.bounds[0] == 0.0)  # a value of its own: "never"
     at_low = not to_zero and np.isfinite(n.low) and low <= n.low + AT_BOUND * abs(n.low)
     return at_low or (np.isfinite(n.high) and high >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)))
